@@ -77,24 +77,18 @@ def _inverses(P):
 
 def contacts_of(medium, balls):
     """Return the contacts of some free balls, by their numbers, a row each; -1 fills rows up."""
-    springs, components = medium.springs, medium.components
-    half = springs.columns.shape[1] // 2
-    columns = springs.columns[: medium.bonds]
-    # the first component of either ball, -1 where it is held
-    ends = np.stack([columns[:, :half].max(axis=1), columns[:, half:].max(axis=1)], axis=1)
-    ends = np.where(ends >= 0, ends // components, -1).ravel()
+    columns = medium.springs.columns[: medium.bonds].reshape(medium.bonds, 2, -1)
+    ends = columns.max(axis=2).ravel() // medium.components  # -1 where a ball is held
     # Sorted, the ends at one ball stand side by side; end number e is of the contact e // 2.
     order = np.argsort(ends, kind="stable")
-    first = np.searchsorted(ends[order], balls)
-    counts = np.searchsorted(ends[order], balls, side="right") - first
-    place = np.arange(max(counts.max(initial=0), 1))
-    inside = place < counts[:, None]
-    contacts = order[np.where(inside, first[:, None] + place, 0)] // 2
-    return np.where(inside, contacts, -1)
+    first, last = np.searchsorted(ends[order], [balls, balls + 1])
+    place = first[:, None] + np.arange(max((last - first).max(initial=0), 1))
+    inside = place < last[:, None]
+    return np.where(inside, order[np.where(inside, place, 0)] // 2, -1)
 
 
-def grown_by_overlap(medium, overlap, hertz):
-    """Return how far the constants of all springs grow with the overlaps, shape (springs,).
+def stiffer_by_overlap(medium, overlap, hertz):
+    """Return how far the constants of all springs grow with the overlaps, shape (blocks, contacts).
 
     A contact that opens has no stiffness left; tangential springs grow by the same part. `overlap`
     is dh, one for all contacts or one each; `hertz` is c, unless a network knows the forces, from
@@ -102,42 +96,38 @@ def grown_by_overlap(medium, overlap, hertz):
     law gives no such contact.
     """
     elastic = medium.springs.elastic.reshape(-1, medium.bonds)
-    k, squared = elastic[0], 2.25 * hertz**2
-    force, strange = getattr(medium, "force", None), k < 0
+    k, force = elastic[0], getattr(medium, "force", None)
+    lawless = k < 0
     if force is not None:
-        strange |= (k > 0) & (force <= 0)
-    if np.any(strange):
+        lawless |= (k > 0) & (force <= 0)
+    if np.any(lawless):
         raise InputError(
-            f"-heat_overlap, -heat_radius: contact {np.argmax(strange)} of the network has a "
+            f"-heat_overlap, -heat_radius: contact {np.argmax(lawless)} of the network has a "
             "negative constant, or no repulsive force: no contact law has it; use -heat_factor"
         )
-    if force is not None:
-        # (9/4) c^2 = k^2 / h, h = (3/2) F / k
-        squared = np.divide(k**3, 1.5 * force, out=np.zeros_like(k), where=force > 0)
     if force is not None and medium.power is not None:
         nearer = np.maximum(1 + overlap / medium.overlap, 0.0)  # in units of the overlap
         growth = np.where(nearer > 0, k * nearer ** (medium.power - 1), 0.0) - k
     else:
+        squared = 2.25 * hertz**2  # (9/4) c^2
+        if force is not None:  # k^2 / h, h = (3/2) F / k
+            squared = np.divide(k**3, 1.5 * force, out=np.zeros_like(k), where=force > 0)
         growth = np.sqrt(np.maximum(k * k + squared * overlap, 0.0)) - k
     part = np.divide(growth, k, out=np.zeros_like(k), where=k != 0)
-    return np.concatenate([growth, (elastic[1:] * part).ravel()])
+    return np.concatenate([growth[None], elastic[1:] * part])
 
 
-def changes(medium, contacts, growth, case=0):
+def changes(medium, contacts, growth):
     """Return the springs of groups of contacts, and how far their constants change.
 
-    `growth` (cases, springs) is that of each spring's constant, `case` which one a contact of a
-    group is. Contacts have the shape (count, c), springs and changes (count, r); -1 fills up, and
-    stands for springs that do not change.
+    Contacts have the shape (count, c), `growth` of their springs (blocks, count, c); springs and
+    changes (count, r). -1 fills up, and stands for springs that do not change.
     """
-    # springs stand block by block, one of each for every contact
-    grown = growth.any(axis=0).reshape(-1, medium.bonds)
-    blocks = np.flatnonzero(np.any(grown, axis=1) | (np.arange(len(grown)) == 0))
-    springs = [np.where(contacts >= 0, contacts + b * medium.bonds, -1) for b in blocks]
-    springs = np.concatenate(springs, axis=1)
-    case = np.tile(np.broadcast_to(case, contacts.shape), (1, len(blocks)))
-    delta = np.where(springs >= 0, growth[case, springs], 0.0)
-    return np.where(delta != 0, springs, -1), delta
+    delta = np.where(contacts >= 0, growth, 0.0)
+    blocks = delta.any(axis=(1, 2)) | (np.arange(len(delta)) == 0)
+    springs = contacts + medium.bonds * np.arange(len(delta))[:, None, None]
+    springs = np.where(delta != 0, springs, -1)
+    return np.concatenate(springs[blocks], axis=1), np.concatenate(delta[blocks], axis=1)
 
 
 def cuts(medium, s):
@@ -173,23 +163,9 @@ class Flexibility:
         ends = np.where(self._there[..., None], layout.ends[groups], -1)
         self._unknowns, number = np.unique(ends, return_inverse=True)
         self._number = number.reshape(ends.shape)
-        self._no_spring, self._no_unknown = int(self.springs[0] < 0), int(self._unknowns[0] < 0)
         entries = layout.entries[groups if len(layout.entries) > 1 else 0 * groups]
         self._entries = np.where(ends >= 0, entries, 0.0)
         self._size = np.linalg.norm(np.linalg.norm(self._entries, axis=-1), axis=1)  # |U|
-        # What G of group p needs stands in the table L, a row a spring, a column an unknown:
-        #
-        #                       number[p, j, u]
-        #                              |
-        #     place[p, i]  -  -  -  L(i, u)  =  needed[p, i, j, u]
-        #
-        # A few columns are solved for at a time; `order` sorts all [p, i, j, u] by columns, so that
-        # those which need some columns are a slice of it.
-        self._shape = (*groups.shape, *ends.shape[1:])
-        rows = np.broadcast_to(self._place[:, :, None, None], self._shape).ravel()
-        columns = np.broadcast_to(self._number[:, None], self._shape).ravel()
-        self._order = np.argsort(columns, kind="stable")
-        self._rows, self._columns = rows[self._order], columns[self._order]
 
     def stretched(self, fields, errors):
         """Return how far fields stretch the springs of each group, and bounds of the errors.
@@ -213,26 +189,26 @@ class Flexibility:
         Collective. `columns`, a `Columns`, are of a solver with these operators, for whose S the
         bounds are prepared. G, shape (count, r, r), is zero in rows and columns that only fill up.
         """
-        bounds, width = columns.solver.bounds, self._shape[-1]
-        needed = np.zeros(len(self._order), dtype=complex)  # in G's order
+        bounds, (count, r, width) = columns.solver.bounds, self._number.shape
+        stretches = np.zeros((count, r, r, width), dtype=complex)  # L(i, u) of each i, j, u
         errors = np.zeros(len(self._unknowns))  # bounds of those of S^-1 e_u
-        start = self._no_unknown
+        known = self.springs >= 0
+        start = np.count_nonzero(self._unknowns < 0)
         solved = columns.solved(self._unknowns[start:], self._unit_vectors, 1.0)
-        for unknowns, solutions, norms, residuals in solved:
+        for unknowns, solutions, norms, residuals in solved:  # some columns of L at a time
             stop = start + len(unknowns)
-            table = np.zeros((len(self.springs), len(unknowns)), dtype=complex)
-            springs = self.springs[self._no_spring :]
-            table[self._no_spring :] = self.operators.stretch(solutions, springs)
-            here = slice(*np.searchsorted(self._columns, [start, stop]))
-            needed[self._order[here]] = table[self._rows[here], self._columns[here] - start]
+            L = np.zeros((len(self.springs), len(unknowns)), dtype=complex)
+            L[known] = self.operators.stretch(solutions, self.springs[known])
+            p, j, u = np.nonzero((self._number >= start) & (self._number < stop))
+            column = self._number[p, j, u] - start
+            stretches[p, :, j, u] = L[self._place[p], column[:, None]]
             errors[start:stop] = residuals * bounds.inverse_norm + (width + 2) * EPSILON * norms
             start = stop
-        needed = needed.reshape(self._shape)
-        G = np.einsum("pije,pje->pij", needed, self._entries)
+        G = np.einsum("pije,pje->pij", stretches, self._entries)
         across = np.einsum("pje,pje->pj", np.abs(self._entries), errors[self._number])
         error = 1.01 * self._size * np.linalg.norm(across, axis=1)
         # what rounds while the parts of a column are summed up
-        size = np.einsum("pije,pje->pij", np.abs(needed), np.abs(self._entries))
+        size = np.einsum("pije,pje->pij", np.abs(stretches), np.abs(self._entries))
         error += (width + 4) * EPSILON * np.linalg.norm(size, axis=(1, 2))
         return G, error
 

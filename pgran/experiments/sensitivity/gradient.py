@@ -11,36 +11,191 @@ constants, masses and dashpots: the sum of each derivative times what it is by, 
 dashpots (k / k_ref)^p, vanishes (Euler).
 
 Where A and z are known to errors a and c in the 2-norm, y_b t_b is wrong by at most
-|b| (|y_b| a + |t_b| c) + |b|^2 a c, and likewise for the rest. NumPy only.
+|b| (|y_b| a + |t_b| c) + |b|^2 a c, and likewise for the rest.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 
+from pgran.driven.sweep import FrequencySweep
+from pgran.experiments.sensitivity.record import Sensitivity
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+from pgran.store.record import columns_of, row_of
+
+MISSED = 0  # the reason of a frequency whose results miss the accuracy asked for
+# Bytes of fields that derivatives are computed of at a time: for one state of a small lattice the
+# calls of NumPy would take as long as the solve.
+TOGETHER = 2**22
 
 
-class Gradient(NamedTuple):
-    """Derivatives of the amplitudes at nd detectors for n drives, with the bounds of their errors.
+class AdjointSweep(FrequencySweep):
+    """Steady states of which more than the amplitudes is computed, frequency by frequency.
 
-    `springs` (n, nd, springs) by the pulls kappa of all springs at s, `masses` (n, nd, free balls),
-    `damping` (n, nd) by beta.
+    A row holds what `record` declares, but for `missing`, optional arrays with their bounds, which
+    the sweep does not compute; `lengths` are those of the record's other axes.
     """
 
-    springs: np.ndarray
-    springs_bound: np.ndarray
-    masses: np.ndarray
-    masses_bound: np.ndarray
-    damping: np.ndarray
-    damping_bound: np.ndarray
+    def __init__(self, lattice, omegas, sites, error_tolerance, record, missing, **lengths):
+        without = {*missing, *(f"{name}_bound" for name in missing)}
+        lengths |= {"detector_number": (len(sites),), "every_bond": (lattice.bonds,)}
+        row = [("field_bound", float), *row_of(record, without, **lengths)]
+        choices = {"error_tolerance": error_tolerance, "whole_field": True, "whole_adjoints": True}
+        super().__init__(lattice, omegas, sites, row, choices)
+
+    def keep(self, point, solver):
+        """See `FrequencySweep`; a frequency without proven bounds misses the accuracy."""
+        # Factor S anew at each frequency: a reused factorization stops at the tolerance asked for,
+        # and derivatives need the field to rounding.
+        solver.restart()
+        if not solver.bounds.proven:
+            point["converged_reason"] = min(point["converged_reason"], MISSED)
+
+
+def systems_of(solver, field_bound):
+    """Return the solved systems, the field's, then each adjoint's, and bounds of their errors.
+
+    Collective over a group. The errors are those of the solutions in the 2-norm.
+    """
+    bounds = solver.bounds
+    errors = [1.01 * bounds.inverse_norm * bounds.adjoint_residual(z) for z in solver.adjoints]
+    return [solver.primal, *solver.adjoints], np.array([field_bound, *errors])
+
+
+def fields_of(solver, systems):
+    """Return solutions as arrays, (1 + nd, unknowns), on the first rank of a group, else None.
+
+    Collective over the group.
+    """
+    fields = solver.operators.layout.gathered([system.solution for system in systems])
+    return None if fields is None else fields.reshape(len(systems), -1)
+
+
+class GradientSweep(AdjointSweep):
+    """The derivatives at each frequency, in the lattice's own unit."""
+
+    def __init__(self, lattice, omegas, detectors, most, error_tolerance):
+        sites, springs = lattice.sites(detectors), lattice.springs
+        self.most = most
+        # which blocks of springs a contact's constants stand in
+        kinds = {"stiffness": ["normal"]}
+        if getattr(lattice, "tangential", None) is not None:
+            kinds["tangential"] = ["transverse", "tangential"]
+        if getattr(lattice, "force", None) is not None:
+            kinds["force"] = ["transverse", "pre_stress"]
+        self.blocks = {
+            name: np.flatnonzero(np.isin(springs.blocks, blocks)) for name, blocks in kinds.items()
+        }
+        missing = {f"by_{name}" for name in {"tangential", "force"} - kinds.keys()}
+        bonds, balls = lattice.bonds, lattice.free_balls
+        if most:
+            bonds, balls = min(most, bonds), min(most, balls)
+        else:
+            missing |= {"bond", "ball"}
+        lengths = {"bond_number": (bonds,), "ball_number": (balls,)}
+        super().__init__(lattice, omegas, sites, error_tolerance, Sensitivity, missing, **lengths)
+        self._waiting = []  # states of this unit that derivatives are still to be computed of
+
+    def keep(self, point, solver):
+        """See `FrequencySweep`; the fields come to the first rank of a group."""
+        super().keep(point, solver)
+        systems, errors = systems_of(solver, point["field_bound"])
+        fields = fields_of(solver, systems)
+        if fields is None:
+            return
+        self._waiting.append((point, solver.operators.s, fields, errors))
+        if len(self._waiting) * fields.nbytes > TOGETHER:
+            self.complete(None)
+
+    def complete(self, points):
+        """See `FrequencySweep`."""
+        if not self._waiting:
+            return
+        rows, s, fields, errors = zip(*self._waiting, strict=True)
+        self._waiting.clear()
+        s, fields = np.array(s), np.stack(fields)
+        with np.errstate(all="ignore"):  # what failed is marked below
+            values = self._by_name(gradient(self.scaled, s, fields, np.stack(errors)), s)
+            values["flux"], values["loss"] = energy_flux(self.scaled, s, fields[:, 0])
+        good = np.ones(len(rows), dtype=bool)
+        for name in ("by_stiffness", "by_mass"):  # each as accurate as asked of the largest
+            largest = np.abs(values[name]).max(axis=-1)
+            error = values[f"{name}_bound"].max(axis=-1)
+            good &= np.all(error <= self.choices["error_tolerance"] * largest, axis=1)
+        for number, row in enumerate(rows):
+            missed = row["converged_reason"] <= 0
+            for name, value in values.items():
+                row[name] = np.nan if missed and value.dtype.kind != "i" else value[number]
+            if not missed and not good[number]:
+                row["converged_reason"] = MISSED
+
+    def _by_name(self, found, s):
+        """Return what rows keep of a `gradient` at some s, by the names of the record's arrays."""
+        medium, bonds = self.scaled, self.scaled.bonds
+        # Springs stand block by block, one of each for every contact: (n, nd, blocks, bonds).
+        by_spring = [x.reshape(*x.shape[:2], -1, bonds) for x in found["springs"]]
+        by_stiffness = by_spring
+        if medium.has_law:  # kappa follows the stiffness by the law, not that of pre-stress
+            slopes = np.array([medium.slope(one) for one in s]).reshape(len(s), 1, -1, bonds)
+            by_stiffness = [by_spring[0] * slopes, 1.01 * by_spring[1] * np.abs(slopes)]
+        pairs = {"mass": found["mass"]}
+        for name, blocks in self.blocks.items():
+            parts = by_spring if name == "force" else by_stiffness
+            pairs[name] = [x[..., blocks, :].sum(axis=-2) for x in parts]
+        if "force" in pairs:  # the constant is -F / d
+            value, bound = pairs["force"]
+            pairs["force"] = -value / medium.distance, bound / medium.distance
+        values = {}
+        if self.most:  # the numbers of the largest, in the record's shapes
+            constants = np.abs(medium.springs.constants[:bonds])
+            sizes = {
+                "bond": constants * pairs["stiffness"][0],
+                "ball": pairs["mass"][0] / medium.inertia_ratio,
+            }
+            for name, size in sizes.items():
+                number = np.argsort(-np.abs(size), axis=-1, kind="stable")
+                values[name] = number[..., : self.row[name].shape[-1]]
+            for name, pair in pairs.items():
+                number = values["ball" if name == "mass" else "bond"]
+                pairs[name] = [np.take_along_axis(x, number, axis=-1) for x in pair]
+        for name, pair in (pairs | {"damping": found["damping"]}).items():
+            values[f"by_{name}"], values[f"by_{name}_bound"] = pair
+        return values
+
+    def collect(self, rows, seconds):
+        """See `Task`."""
+        arrays = columns_of(Sensitivity, rows)
+        for name in arrays:
+            if name.startswith("by_"):  # constants, forces, masses and beta all scale with the unit
+                arrays[name] /= self.unit
+        arrays["flux"] *= self.unit
+        arrays["loss"] *= self.unit
+        k = self.lattice.springs.constants[: self.lattice.bonds]  # negative ones, too: dk / k
+        k = k[arrays["bond"]] if self.most else k
+        A, A_bound = rows["displacement"][:, :, None], rows["error_bound"][:, :, None]
+        slope, slope_bound = arrays["by_stiffness"], arrays["by_stiffness_bound"]
+        with np.errstate(all="ignore"):
+            logs = k * slope / A
+            log_bound = 1.01 * np.abs(k) * (slope_bound + np.abs(slope / A) * A_bound)
+            log_bound = log_bound / (np.abs(A) - A_bound)
+            log_bound = np.where(np.abs(A) > A_bound, log_bound, np.inf)
+        return Sensitivity(
+            factorizations=int(rows["factorizations"].sum()),
+            solve_seconds=seconds,
+            most=self.most,
+            omega=self.omegas,
+            detector=self.sites,
+            log_amplitude=logs.real.copy(),
+            log_phase=logs.imag.copy(),
+            log_bound=log_bound,
+            **arrays,
+        )
 
 
 def gradient(medium, s, fields, errors):
-    """Return the Gradient of steady states at n values of s.
+    """Return derivatives of the amplitudes at n values of s, and bounds of their errors, by name.
 
-    Fields, shape (n, 1 + nd, unknowns), are the amplitudes of all unknowns, then the adjoints;
-    `errors`, shape (n, 1 + nd), bound their errors in the 2-norm.
+    `springs` (n, nd, springs) by the pulls kappa of all springs at s, `mass` (n, nd, free balls),
+    `damping` (n, nd) by beta. Fields, shape (n, 1 + nd, unknowns), are the amplitudes of all
+    unknowns, then the adjoints; `errors`, shape (n, 1 + nd), bound their errors in the 2-norm.
     """
     springs, s = medium.springs, s[:, None]
     stretch = _applied(springs.B, fields)
@@ -53,18 +208,17 @@ def gradient(medium, s, fields, errors):
     mass_errors = _product_error(_size(z), _size(A), c, a)
     # what rounds while the sum over the springs is formed
     summing = (len(springs.damped) + 8) * EPSILON * (_size(products) @ springs.damped)
+    damping_errors = np.abs(s) * (spring_errors @ springs.damped + summing + SMALLEST_NORMAL)
     inertia = -(s[..., None] ** 2)
     if medium.drags is not None:  # a number a ball
         inertia = inertia - s[..., None] * medium.drags[:: medium.components]
     inertia = inertia * medium.inertia_ratio
-    return Gradient(
-        -products,
-        spring_errors,
-        inertia * _per_ball(medium, z * A),
-        np.abs(inertia) * _per_ball(medium, mass_errors),
-        -s * (products @ springs.damped),
-        np.abs(s) * (spring_errors @ springs.damped + summing + SMALLEST_NORMAL),
-    )
+    by_mass = inertia * _per_ball(medium, z * A)
+    return {
+        "springs": (-products, spring_errors),
+        "mass": (by_mass, np.abs(inertia) * _per_ball(medium, mass_errors)),
+        "damping": (-s * (products @ springs.damped), damping_errors),
+    }
 
 
 def energy_flux(medium, s, fields):

@@ -8,32 +8,66 @@ does not return to where it was, it has been rearranged, and what it does then d
 grown. NumPy and SciPy only.
 """
 
-import contextlib
 import dataclasses
 import logging
 import math
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from pgran.balance.motion import pair_numbers
-from pgran.balance.networks import GROWTH, balls_of, changed_contacts, grown, network_of
-from pgran.errors import PgranError
-from pgran.experiments.sensitivity.adjoint import AdjointSweep
+from pgran.balance.networks import GROWTH, balls_of, changed_contacts, grown, law_of, network_of
+from pgran.errors import InputError, PgranError
+from pgran.experiments.sensitivity.gradient import fields_of, systems_of
+from pgran.experiments.sensitivity.radii import Radii, with_vectors
 from pgran.experiments.sensitivity.record import OUTCOMES
-from pgran.experiments.sensitivity.warmth import with_vectors
+from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network
 from pgran.medium.packing import total_forces
 from pgran.medium.rounding import EPSILON
-from pgran.medium.springs import FREE
+from pgran.medium.springs import AT_REST, FREE, norm_of
 from pgran.run.agreement import on_root
 from pgran.run.task import Task
 
 log = logging.getLogger("pgran")
 SMOOTH, CHANGED, REARRANGED, LOST = range(len(OUTCOMES))
 UNBALANCED = 1e-3  # of the mean force: what is said of a network
+ASTRAY = 1e-3  # of an overlap: how far contacts may stray from their rest
 RETURNED = 1e-6  # of the mean overlap: how far overlaps may be from where they were
+
+
+def ways_to_rest(medium, relax):
+    """Return whether a packing finds its rest anew around a ball that grows, and knows its law.
+
+    `relax` as in `heat`. Raises an InputError where it should relax and cannot.
+    """
+    if not isinstance(medium, Network):
+        raise InputError("-heat_radius, -heat_kelvin: only for a network whose balls have radii")
+    try:
+        check_law(medium)
+    except InputError:
+        if relax:
+            raise
+        return False, False
+    if relax is False:
+        return False, True
+    try:
+        of_new(medium)
+    except InputError as error:
+        raise InputError(f"{error}; -heat_relax false keeps neighbours in place") from None
+    return True, True
+
+
+def check_law(network):
+    """Raise an InputError where the network does not say what larger radii do to it."""
+    if network.turns:
+        raise InputError(
+            "-heat_relax: the rest of balls that turn depends on their past; take -heat_relax false"
+        )
+    law_of(with_vectors(network))
+    pulling = np.flatnonzero(network.force <= 0)
+    if len(pulling):
+        raise InputError(f"-heat_relax: contact {pulling[0]} bears no repulsive force")
 
 
 class Grown(NamedTuple):
@@ -52,7 +86,7 @@ class Grown(NamedTuple):
 
 
 class Packing:
-    """A network as balls at rest under its contact law, which `warmth.check_law` has seen."""
+    """A network as balls at rest under its contact law, which `check_law` has seen."""
 
     def __init__(self, network):
         self.network, packing = network, with_vectors(network)
@@ -125,7 +159,7 @@ class Packing:
         return bool(np.abs(here - there).max() <= RETURNED * here.mean())
 
 
-class ExpansionTask(Task):
+class GrowthTask(Task):
     """The steady states of a network after each of some balls has grown, ball after ball.
 
     `balls` are their numbers, `growth` that of their radii; frequencies and `sites` as in
@@ -134,54 +168,48 @@ class ExpansionTask(Task):
 
     items = "warm balls"
 
-    def __init__(self, network, omegas, sites, balls, growth, error_tolerance):
+    def __init__(self, network, balls, growth, omegas, sites, error_tolerance):
         self.packing, self.omegas, self.sites = Packing(network), omegas, sites
         self.balls, self.growth, self.error_tolerance = balls, growth, error_tolerance
-        self.units = [range(n, n + 1) for n in range(len(balls))]
-        amplitudes, count = (len(omegas), len(sites)), np.int64
+        self.units = range(len(balls))
+        amplitudes = len(omegas), len(sites)
         self.row = np.dtype(
             [
                 ("warmed", complex, amplitudes), ("warmed_bound", float, amplitudes),
-                ("opened", count), ("closed", count), ("balance", float), ("outcome", count),
+                ("opened", int), ("closed", int), ("balance", float), ("outcome", int),
             ]
         )  # fmt: skip
 
-    @contextlib.contextmanager
-    def open(self, group):
+    def work(self, unit, group):
         """See `Task`."""
-        yield partial(self._work, group)
+        row, ball, growth = np.zeros(1, self.row), int(self.balls[unit]), float(self.growth[unit])
+        found = on_root(group, lambda: self.packing.grown(ball, growth))
+        for name in ("outcome", "opened", "closed", "balance"):
+            row[name] = getattr(found, name)
+        row["warmed"], row["warmed_bound"] = math.nan, math.inf
+        if found.network is not None:
+            row["warmed"], row["warmed_bound"] = self._amplitudes(found, group)
+        return row
 
-    def _work(self, group, unit):
-        """Return the row of one ball. Collective over a group."""
-        rows, (number,) = np.zeros(1, self.row), unit
-        ball, growth = int(self.balls[number]), float(self.growth[number])
-        network, *facts, left = on_root(group, lambda: self.packing.grown(ball, growth))
-        for name, value in zip(("outcome", "opened", "closed", "balance"), facts, strict=True):
-            rows[name] = value
-        rows["warmed"], rows["warmed_bound"] = math.nan, math.inf
-        if network is not None:
-            rows["warmed"], rows["warmed_bound"] = self._amplitudes(network, left, group)
-        return rows
-
-    def _amplitudes(self, network, left, group):
+    def _amplitudes(self, found, group):
         """Return the amplitudes at all detectors and frequencies, and bounds. Collective.
 
         A detector without contacts is at rest.
         """
         from pgran.driven.operators import Operators
         from pgran.driven.steady import SteadySolver
-        from pgran.experiments.sensitivity.unrest import Unrest
 
-        there = network.held[self.sites[:, 0]] == FREE
+        there = found.network.held[self.sites[:, 0]] == FREE
         amplitudes = np.zeros((len(self.omegas), len(there)), complex)
         bounds = np.zeros(amplitudes.shape)
         if not there.any():
             return amplitudes, bounds
-        sites, (scaled, unit), (forces, *lengths) = self.sites[there], network.in_own_unit(), left
+        (scaled, unit), (forces, *lengths) = found.network.in_own_unit(), found.left
         unrest = Unrest(scaled, forces / unit, *lengths)
+        choices = {"error_tolerance": self.error_tolerance, "whole_field": True}
         with (
             Operators(scaled, group) as operators,
-            SteadySolver(operators, sites, self.error_tolerance, whole_field=True) as solver,
+            SteadySolver(operators, self.sites[there], **choices) as solver,
         ):
             for number, omega in enumerate(self.omegas):
                 state = solver.solve(1j * omega)
@@ -189,11 +217,11 @@ class ExpansionTask(Task):
                 bounds[number, there] = np.nan_to_num(state.error_bound, nan=np.inf)
                 if not np.isfinite(state.error_bound).any():
                     continue
-                systems, errors = AdjointSweep.systems(state._asdict(), solver)
-                fields = operators.layout.gathered([x.solution for x in systems])
-                if fields is not None:  # on the first rank of the group
-                    found = fields.reshape(len(systems), -1), errors, solver.bounds.inverse_norm
-                    bounds[number, there] += unrest.missed(operators.s, *found)
+                systems, errors = systems_of(solver, state.field_bound)
+                fields, inverse_norm = fields_of(solver, systems), solver.bounds.inverse_norm
+                if fields is not None:
+                    s = operators.s
+                    bounds[number, there] += unrest.missed(s, fields, errors, inverse_norm)
         return amplitudes, bounds
 
     def collect(self, rows, seconds):
@@ -201,3 +229,51 @@ class ExpansionTask(Task):
         turned = {name: np.moveaxis(rows[name], 0, -1).copy() for name in self.row.names}
         turned["outcome"] = np.array(OUTCOMES)[turned["outcome"]]
         return turned
+
+
+class Unrest:
+    """How near a packing, in its own unit, is to a rest, and what that does to amplitudes.
+
+    Balance leaves forces, and rounds: `pgran manual sensitivity` has the inequalities. `left` (free
+    balls,) bounds the forces left, `blurred` (contacts,) what rounds in overlaps, `gap` is the
+    narrowest one. The balls of contacts are off by `moved`, `pressed` along normals.
+    """
+
+    def __init__(self, network, left, blurred, gap):
+        from pgran.driven.certify import least_stiffness
+
+        self.seen, weights = Radii(network, relax=False), network.weights[:: network.components]
+        floats, held = int(not network.held[network.bond].any()), network.held.copy()
+        held[network.free[:floats]] = AT_REST  # forces add up to nothing: the others balance it
+        fixed = dataclasses.replace(with_vectors(network), held=held, push=None)
+        least, d = least_stiffness(fixed), network.distance
+        reach = 2.1 * np.linalg.norm((weights * left)[floats:]) / least if least else np.inf
+        self.moved = self.seen.lengths * reach
+        pressed = np.sqrt((least + self._norm(network.force / d)) / network.stiffness) * reach
+        self.pressed = pressed + self.moved**2 / d + blurred
+        near = np.all(self.pressed <= ASTRAY * network.overlap) and 2 * weights.max() * reach < gap
+        self.is_near = near and 2 * self._norm(self._changes(0.0)) <= least
+
+    def missed(self, s, fields, errors, inverse_norm):
+        """Return what that does to amplitudes at detectors (nd,), at most; infinite: not known.
+
+        `fields` and `errors` are as in `Radii.derivatives`; |S^-1| is at most `inverse_norm`.
+        """
+        changes, seen = self._changes(s), self.seen
+        eta = self._norm(changes)
+        if not self.is_near or not eta * inverse_norm < 1:
+            return np.full(len(fields) - 1, np.inf)
+        squares = np.sum(np.abs(seen.parted(fields)) ** 2, axis=2)
+        norms = np.sqrt(squares @ changes) + np.sqrt(eta) * errors
+        return 1.01 * norms[0] * norms[1:] / (1 - eta * inverse_norm)
+
+    def _changes(self, s):
+        """Return by how much the parts of S of all contacts may be off at an s."""
+        net, d, some = self.seen.network, self.seen.distance, slice(self.seen.network.bonds)
+        size = net.stiffness + np.abs(net.kappa(s)[some]) + 2 * net.force / d
+        bent = (net.power - 1) * net.stiffness / net.overlap * np.abs(net.slope(s)[some])
+        return 1.1 * (self.pressed * bent + self.moved * size / d) + 8 * EPSILON * size
+
+    def _norm(self, changes):
+        """Return no less than |B^T diag(changes) B|_2, B parting the balls of each contact."""
+        return norm_of(self.seen.apart, np.repeat(changes, self.seen.network.axes))

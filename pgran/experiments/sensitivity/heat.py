@@ -1,22 +1,15 @@
 """What a warm ball, or a cut bond, does to a signal: exact amplitudes, one change at a time."""
 
 import dataclasses
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pgran.driven import drive as driven
 from pgran.errors import InputError
 from pgran.experiments.sensitivity import finite
-from pgran.experiments.sensitivity.adjoint import MISSED, AdjointSweep
-from pgran.experiments.sensitivity.record import Heat
-from pgran.experiments.sensitivity.warmth import (
-    WAYS,
-    Warmth,
-    check_options,
-    relaxes,
-    told,
-    with_vectors,
-)
+from pgran.experiments.sensitivity.gradient import MISSED, AdjointSweep, fields_of, systems_of
+from pgran.experiments.sensitivity.record import OUTCOMES, Heat
 from pgran.medium.base import medium
 from pgran.medium.law import HERTZ
 from pgran.medium.rounding import EPSILON
@@ -25,37 +18,19 @@ from pgran.run.experiment import PROGRESS, Caution, in_parallel, option
 from pgran.run.frequencies import SWEEP
 from pgran.run.options import FLAG, INTEGER, INTEGERS, REAL
 from pgran.run.task import carry_out
+from pgran.store.estimate import counted
 from pgran.store.record import ball_names, columns_of
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pgran.medium.base import Medium
+    from pgran.run.crew import Crew
+
+WAYS = "heat_factor", "heat_overlap", "heat_radius", "heat_kelvin"
 QUARTER = 0.25  # of the amplitude: what the heater of the experiment changed
-
-
-def summary(record):
-    """Return in words what heating or cutting does."""
-    good = record.converged_reason > 0
-    if failed := np.count_nonzero(~good):
-        yield Caution(f"{failed} of {len(good)} frequencies of the heater failed")
-    yield from told(record)
-    for d, ball in enumerate(ball_names(record.detector)):
-        for name, what in (("warmed", "warm ball"), ("cut", "cut bond")):
-            after = getattr(record, name)
-            if after is None or not good.any():
-                continue
-            before = record.displacement[good, d][:, None]
-            with np.errstate(all="ignore"):  # a detector may be at rest
-                moved = np.abs(after[good, d] - before) / np.abs(before)
-            bounded = np.isfinite(getattr(record, f"{name}_bound")[good, d])
-            moved = moved[bounded & np.isfinite(moved)]
-            text = f"{ball}: one {what} changes its amplitude by "
-            if not moved.size:
-                yield f"{text}what is not known"
-                continue
-            usual, largest = 100 * np.median(moved), 100 * moved.max()
-            text += f"{usual:.3g} % (median), {largest:.4g} % at most"
-            if name == "warmed":
-                share = 100 * record.heard[good, d].mean()
-                text += f", a quarter or more in {share:.3g} % of all cases"
-            yield text
+LARGE_GROWTH = 0.3  # of the mean overlap: beyond it packings rearrange
+SEED = 1993  # of the balls that are drawn
 
 
 @in_parallel(
@@ -63,88 +38,100 @@ def summary(record):
     balls=lambda balls: balls,  # rows or flat, which the lattice checks
 )  # fmt: skip
 def heat(
-    lattice,
-    omegas,
-    detectors,
-    crew=None,
+    lattice: "Medium",
+    omegas: "ArrayLike",
+    detectors: "ArrayLike",
+    crew: "Crew | None" = None,
     *,
-    factor=option(
+    factor: float | None = option(
         None, "warm balls one at a time: their bonds become so many times as stiff", kind=REAL,
         low=0,
     ),
-    overlap=option(
+    overlap: float | None = option(
         None,
         "warm balls one at a time: their contacts overlap by so much more, by Hertz's law "
         "(-bonds_hertz, or a network's forces)", "length", kind=REAL,
     ),
-    radius=option(
+    radius: float | None = option(
         None, "warm balls of a network one at a time: their radii grow by so much", "length",
         kind=REAL,
     ),
-    kelvin=option(
+    kelvin: float | None = option(
         None, "warm balls of a network one at a time by so much: their radii expand", "K",
         kind=REAL,
     ),
-    expansion=option(9e-6, "relative growth of a radius by heat; by default of glass", "1/K"),
-    relax=option(
+    expansion: float = option(
+        9e-6, "relative growth of a radius by heat; by default of glass", "1/K"
+    ),
+    relax: bool | None = option(
         None,
         "the packing finds its rest anew around a ball that grows (true, unless the network does "
         "not know its contact law), or neighbours are frozen", kind=FLAG,
     ),
-    hertz=HERTZ,
-    balls=option(
+    hertz: float = HERTZ,
+    balls: "ArrayLike | None" = option(
         None, "balls to warm, 8,10 or of two balls 8,10,3,4; by default all", kind=INTEGERS, low=0,
         high=2**63 - 1,
     ),
-    samples=option(
+    samples: int | None = option(
         None, "warm only so many balls, drawn at random", kind=INTEGER, low=1
     ),
-    cut=option(False, "cut bonds one at a time, with their dashpots"),
-    error_tolerance=driven.STEADY["error_tolerance"],
-    progress=PROGRESS,
+    cut: bool = option(False, "cut bonds one at a time, with their dashpots"),
+    error_tolerance: float = driven.STEADY["error_tolerance"],
+    progress: str = PROGRESS,
 ) -> Heat:  # fmt: skip
     """Return the amplitudes after each ball is warmed, or each bond is cut, one at a time.
 
     They are exact, however large changes are. Where neighbours stay in place, each unknown at the
-    springs that change takes one solve with the factorization of its frequency (see `finite`), and
-    tangential springs get stiffer in the same ratio. Where the packing relaxes, its steady states
-    are solved anew (see `growth`). Where radii grow and the network knows its contact law, the
-    record has derivatives by all radii as well (see `radii`).
+    springs that change takes one solve with the factorization of its frequency: with the rows U of
+    these springs, A' = A - y^T Delta (I + U S^-1 U^T Delta)^-1 t (Sherman, Morrison and Woodbury).
+    Tangential springs get stiffer in the same ratio. Where the packing relaxes, its steady states
+    are solved anew. Where radii grow and the network knows its contact law, the record has
+    derivatives by all radii as well.
+
+    Examples
+    --------
+    >>> lattice = pgran.Lattice.random((6, 5), seed=1)
+    >>> found = pgran.heat(lattice, [0.3], [(2, 2)], factor=1.1)
+    >>> found.warmed.shape  # frequencies, detectors, warm balls
+    (1, 1, 30)
     """
     given = factor, overlap, radius, kelvin, balls, samples, relax
     names = *WAYS, "heat_balls", "heat_samples", "heat_relax"
     check_options(dict(zip(names, given, strict=True)))
-    warmth = Warmth(factor, overlap, radius, kelvin, expansion, hertz)
-    if not (warmth.is_asked or cut):
+    heater = Heater(factor, overlap, radius, kelvin, expansion, hertz)
+    if not (heater.is_asked or cut):
         raise InputError(
             "heat: give a factor or an overlap, or cut=True, or of a packing radius or kelvin"
         )
     with agreeing(crew.world):
         check_solver(lattice, crew)
-        relaxing = warmth.grows and relaxes(lattice, relax)
-        warm = warmth.balls(lattice, balls, samples)
-        task = HeatSweep(lattice, omegas, detectors, warmth, relaxing, warm, cut, error_tolerance)
-        expanding = task.expanding() if relaxing else None
+        warm = heater.balls(lattice, balls, samples)
+        task = HeatSweep(lattice, omegas, detectors, heater, relax, warm, cut, error_tolerance)
+        relaxation = task.relaxation() if task.relaxed else None
     driven.check_driven(lattice, crew.world, omegas[0])
-    if relaxing and crew.world.rank == 0:
-        expanding.packing.warn()
+    if relaxation is not None and crew.world.rank == 0:
+        relaxation.packing.warn()
     record = carry_out(task, crew, progress)
-    if expanding is not None:
-        expanded = carry_out(expanding, crew, progress)
-        if record is not None:
-            record = with_heard(dataclasses.replace(record, **expanded))
-    return record
+    if relaxation is not None:
+        grown = carry_out(relaxation, crew, progress)
+        record = record and dataclasses.replace(record, **grown)
+    return with_heard(record) if record and record.warmed is not None else record
 
 
-def with_heard(record):
-    """Return a record with the shares of balls whose change is a quarter or more, for certain."""
-    before, bound = record.displacement[..., None], record.error_bound[..., None]
-    with np.errstate(invalid="ignore"):
-        moved = np.abs(record.warmed - before) - record.warmed_bound - bound
-        # by a quarter of what the amplitude may be at most
-        share = np.mean(moved >= QUARTER * (np.abs(before) + bound), axis=-1)
-    share[record.converged_reason <= 0] = np.nan
-    return dataclasses.replace(record, heard=share)
+def check_options(values):
+    """Raise where options contradict each other."""
+    ways = [name for name in WAYS if values[name] is not None]
+    if len(ways) > 1:
+        names = ", ".join(f"-{name}" for name in ways)
+        raise InputError(f"{names}: a ball is warmed in one of these ways; leave the others out")
+    which = [f"-{name}" for name in ("heat_balls", "heat_samples") if values[name] is not None]
+    if which and not ways:
+        raise InputError(f"{which[0]}: say by how much, with -{' or -'.join(WAYS)}")
+    if len(which) > 1:
+        raise InputError(f"{' and '.join(which)}: give one, the balls or how many to draw")
+    if values["heat_relax"] is not None and not {"heat_radius", "heat_kelvin"} & {*ways}:
+        raise InputError("-heat_relax: only for balls that grow, by -heat_radius or -heat_kelvin")
 
 
 def check_solver(lattice, crew):
@@ -160,97 +147,173 @@ def check_solver(lattice, crew):
         )
 
 
-class HeatSweep(AdjointSweep):
-    """The amplitudes after changes that leave all other balls in place, frequency by frequency."""
+def with_heard(record):
+    """Return a record with the shares of balls whose change is a quarter or more, for certain."""
+    before, bound = record.displacement[..., None], record.error_bound[..., None]
+    with np.errstate(invalid="ignore"):
+        change = np.abs(record.warmed - before) - record.warmed_bound - bound
+        # by a quarter of what the amplitude may be at most
+        share = np.mean(change >= QUARTER * (np.abs(before) + bound), axis=-1)
+    share[record.converged_reason <= 0] = np.nan
+    return dataclasses.replace(record, heard=share)
 
-    def __init__(self, lattice, omegas, detectors, warmth, relaxing, warm, cut, error_tolerance):
-        sites, free = lattice.sites(detectors), lattice.ball_numbers
-        self.warmth, self.relaxing, self.balls = warmth, relaxing, free[warm]
+
+class Heater(NamedTuple):
+    """What is done to a warm ball: one of these; see the keywords of `heat`."""
+
+    factor: float | None
+    overlap: float | None
+    radius: float | None
+    kelvin: float | None
+    expansion: float
+    hertz: float
+
+    @property
+    def is_asked(self):
+        """Whether one is."""
+        return any(way is not None for way in self[: len(WAYS)])
+
+    @property
+    def grows(self):
+        """Whether radii grow."""
+        return self.radius is not None or self.kelvin is not None
+
+    def balls(self, medium, balls, samples):
+        """Return the places among the free balls of those that are warmed, which increase.
+
+        All, unless balls are given, or how many to draw: the same whatever is done to them.
+        """
+        count = len(medium.ball_numbers) if self.is_asked else 0
+        if balls is not None:
+            return np.unique(medium.numbers_of(medium.sites(balls, "-heat_balls")))
+        if samples is not None and samples > count:
+            raise InputError(f"-heat_samples {samples}: there are only {count} balls to warm")
+        return np.sort(np.random.default_rng(SEED).permutation(count)[:samples])
+
+    def growth(self, network):
+        """Return by how much the radius of each ball grows if it is warm."""
+        if network.radius is None and self.kelvin is not None:
+            raise InputError("-heat_kelvin: balls expand by parts of radii, which are not known")
+        if self.radius is None:
+            growth = self.expansion * self.kelvin * network.radius
+        else:
+            growth = np.full(len(network.held), self.radius)
+        if network.radius is not None and np.any(network.radius + growth <= 0):
+            raise InputError("-heat_radius, -heat_kelvin: a ball would have no radius left")
+        return growth
+
+    def changes(self, medium, warm):
+        """Return what `finite.changes` does of some free balls by their places."""
+        contacts = finite.contacts_of(medium, warm)
+        if self.factor is not None:
+            growth = (self.factor - 1) * medium.springs.elastic.reshape(-1, medium.bonds)
+            growth = growth[:, contacts]
+        elif self.overlap is not None:
+            growth = finite.stiffer_by_overlap(medium, self.overlap, self.hertz)[:, contacts]
+        else:  # a contact overlaps by more as the radius of the ball that is warm says
+            radii = self.growth(medium)
+            by_end = [
+                finite.stiffer_by_overlap(medium, radii[end], self.hertz)[:, contacts]
+                for end in medium.bond.T
+            ]
+            is_first = medium.bond[contacts, 0] == medium.ball_numbers[warm][:, None]
+            growth = np.where(is_first, *by_end)
+        return finite.changes(medium, contacts, growth)
+
+
+class HeatSweep(AdjointSweep):
+    """The amplitudes after changes that leave all other balls in place, frequency by frequency.
+
+    The free balls at the places `warm` are warmed; `relax` as in `heat`.
+    """
+
+    def __init__(self, lattice, omegas, detectors, heater, relax, warm, cut, error_tolerance):
+        self.heater, self.balls = heater, lattice.ball_numbers[warm]
+        # radii have derivatives where the contact law is known, neighbours frozen or not
+        self.relaxed = self.differentiated = False
+        if heater.grows:
+            from pgran.experiments.sensitivity.growth import ways_to_rest
+
+            self.relaxed, self.differentiated = ways_to_rest(lattice, relax)
         groups = {}  # groups[kind][n]: the springs that change n changes
         if len(warm):
-            groups["frozen" if relaxing else "warmed"], self.delta = warmth.changes(lattice, warm)
+            kind = "frozen" if self.relaxed else "warmed"
+            groups[kind], self.delta = heater.changes(lattice, warm)
         if cut:
             groups["cut"], _ = finite.cuts(lattice, 1j)
         self.groups = {name: springs for name, springs in groups.items() if len(springs)}
-        missing = {"warmed", "frozen", "cut", "by_radius"} - self.groups.keys()
-        # by all radii where the contact law is known
-        self.differentiated = warmth.grows and relaxes(lattice, None)
-        missing -= {"by_radius"} if self.differentiated else set()
-        lengths = {"ball": (len(self.balls),), "ball_number": (len(free),)}
+        self.computed = [*self.groups, *["by_radius"] * self.differentiated]
+        missing = {"warmed", "frozen", "cut", "by_radius"} - {*self.computed}
+        lengths = {"ball": (len(self.balls),), "ball_number": (lattice.free_balls,)}
+        sites = lattice.sites(detectors)
         super().__init__(lattice, omegas, sites, error_tolerance, Heat, missing, **lengths)
 
-    def expanding(self):
+    def relaxation(self):
         """Return the task that computes the amplitudes of relaxed packings."""
-        from pgran.experiments.sensitivity.growth import ExpansionTask
+        from pgran.experiments.sensitivity.growth import GrowthTask
 
-        growth = self.warmth.growth(self.lattice)[self.balls]
-        where = self.lattice, self.omegas, self.sites, self.balls, growth
-        return ExpansionTask(*where, self.choices["error_tolerance"])
+        growth = self.heater.growth(self.lattice)[self.balls]
+        heard = self.omegas, self.sites, self.choices["error_tolerance"]
+        return GrowthTask(self.lattice, self.balls, growth, *heard)
 
     def prepare(self, operators):
         """See `FrequencySweep`."""
-        from pgran.driven.certify import least_stiffness
-        from pgran.experiments.sensitivity.finite import Flexibility
-        from pgran.experiments.sensitivity.radii import Radii
-
         groups = self.groups.items()
-        self.flexibilities = {name: Flexibility(operators, springs) for name, springs in groups}
+        self.flexibilities = {
+            name: finite.Flexibility(operators, springs) for name, springs in groups
+        }
         if self.differentiated:
-            least = least_stiffness(with_vectors(self.scaled)) if self.relaxing else 0.0
-            self.radii = Radii(self.scaled, self.relaxing, least)
+            from pgran.driven.certify import least_stiffness
+            from pgran.experiments.sensitivity.radii import Radii, with_vectors
+
+            least = least_stiffness(with_vectors(self.scaled)) if self.relaxed else 0.0
+            self.radii = Radii(self.scaled, self.relaxed, least)
 
     def keep(self, point, solver):
         """See `FrequencySweep`. Collective over a group."""
         from pgran.driven.columns import Columns
 
         super().keep(point, solver)
-        computed = [*self.groups, *["by_radius"] * self.differentiated]
-        for name in computed:
+        for name in self.computed:
             point[name], point[f"{name}_bound"] = np.nan, np.inf
         if solver.factor is None:
             point["converged_reason"] = min(point["converged_reason"], MISSED)
         if point["converged_reason"] <= 0:
             return
-        before = point["displacement"], point["error_bound"]
-        systems, errors = self.systems(point, solver)
+        s, before = solver.operators.s, (point["displacement"], point["error_bound"])
+        systems, errors = systems_of(solver, point["field_bound"])
         if self.differentiated:
-            fields = solver.operators.layout.gathered([x.solution for x in systems])
-            if fields is not None:  # on the first rank of the group
-                fields = fields.reshape(len(systems), -1)
-                after = self.radii.derivatives(solver.operators.s, fields, errors)
+            fields = fields_of(solver, systems)
+            if fields is not None:
+                after = self.radii.derivatives(s, fields, errors)
                 point["by_radius"], point["by_radius_bound"] = after
         if not self.groups:
             return
+        # this rank's rows; what rounds while a spring's stretch is computed is within the bounds
+        fields = np.stack([x.solution.getArray(readonly=True) for x in systems], axis=1)
+        norms = np.array([x.solution.norm() for x in systems])
+        errors = errors + (self.scaled.springs.columns.shape[1] + 2) * EPSILON * norms
         with Columns(solver) as columns, np.errstate(all="ignore"):  # not finite: without a bound
-            fields, errors = self._fields(systems, errors)
             for name, flexibility in self.flexibilities.items():
                 stretched = flexibility.stretched(fields, errors)
                 matrices = flexibility.matrices(columns)
-                if name == "cut":  # the dashpots of a bond, too, so that it depends on s
-                    _, delta = finite.cuts(self.scaled, solver.operators.s)
-                else:
-                    delta = self.delta / self.unit
-                    there = flexibility.groups >= 0
-                    growth = self.scaled.stiffer(delta, solver.operators.s, flexibility.groups)
-                    delta = np.where(there, growth, 0.0)
+                delta = self._changes(name, s, flexibility.groups)
                 after = finite.changed_amplitudes(before, stretched, matrices, delta)
                 point[name], point[f"{name}_bound"] = after
 
-    def _fields(self, systems, errors):
-        """Return this rank's rows of the field and the adjoints, and bounds of their errors.
-
-        Collective. What rounds while a spring's stretch is computed of them is within the bounds.
-        """
-        fields = np.stack([x.solution.getArray(readonly=True) for x in systems], axis=1)
-        norms = np.array([x.solution.norm() for x in systems])
-        return fields, errors + (self.scaled.springs.columns.shape[1] + 2) * EPSILON * norms
+    def _changes(self, name, s, springs):
+        """Return by how much kappa of the springs of groups changes at s."""
+        if name == "cut":
+            _, delta = finite.cuts(self.scaled, s)
+            return delta
+        return np.where(springs >= 0, self.scaled.stiffer(self.delta / self.unit, s, springs), 0.0)
 
     def collect(self, rows, seconds):
         """See `Task`."""
-        warmth = self.warmth
-        record = Heat(
-            factor=np.nan if warmth.factor is None else float(warmth.factor),
-            overlap=np.nan if warmth.overlap is None else float(warmth.overlap),
+        heater = self.heater
+        return Heat(
+            factor=np.nan if heater.factor is None else float(heater.factor),
+            overlap=np.nan if heater.overlap is None else float(heater.overlap),
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
             omega=self.omegas,
@@ -259,20 +322,80 @@ class HeatSweep(AdjointSweep):
             **columns_of(Heat, rows),
             **self._growth(),
         )
-        return record if record.warmed is None else with_heard(record)
 
     def _growth(self):
         """Return what a record says of balls that grow."""
-        if not self.warmth.grows:
+        heater, network = self.heater, self.lattice
+        if not heater.grows:
             return {}
-        growth = self.warmth.growth(self.lattice)[self.balls]
-        said = {"relaxed": self.relaxing, "growth": growth}
-        if self.warmth.kelvin is not None:
-            said |= {"kelvin": self.warmth.kelvin, "expansion": self.warmth.expansion}
-        if (overlap := self.lattice.overlap) is not None:
-            least = np.full(len(self.lattice.held), np.inf)
-            for end in self.lattice.bond.T:
-                np.minimum.at(least, end, overlap)
-            said["growth_overlap"] = growth / overlap.mean()
-            said["growth_least"] = growth / least[self.balls]
-        return said
+        growth = heater.growth(network)[self.balls]
+        facts = {"relaxed": self.relaxed, "growth": growth}
+        if heater.kelvin is not None:
+            facts |= {"kelvin": heater.kelvin, "expansion": heater.expansion}
+        if network.overlap is not None:
+            least = np.full(len(network.held), np.inf)
+            np.minimum.at(least, network.bond, network.overlap[:, None])
+            facts["growth_overlap"] = growth / network.overlap.mean()
+            facts["growth_least"] = growth / least[self.balls]
+        return facts
+
+
+def summary(record):
+    """Yield in words what heating or cutting does."""
+    good = record.converged_reason > 0
+    if failed := np.count_nonzero(~good):
+        yield Caution(f"{failed} of {len(good)} frequencies of the heater failed")
+    if record.growth is not None:
+        yield from _of_growth(record)
+    for d, ball in enumerate(ball_names(record.detector)):
+        for name, what in (("warmed", "warm ball"), ("cut", "cut bond")):
+            after = getattr(record, name)
+            if after is None or not good.any():
+                continue
+            before = record.displacement[good, d][:, None]
+            with np.errstate(all="ignore"):  # a detector may be at rest
+                change = np.abs(after[good, d] - before) / np.abs(before)
+            bounded = np.isfinite(getattr(record, f"{name}_bound")[good, d])
+            change = change[bounded & np.isfinite(change)]
+            text = f"{ball}: one {what} changes its amplitude by "
+            if not change.size:
+                yield f"{text}what is not known"
+                continue
+            usual, largest = 100 * np.median(change), 100 * change.max()
+            text += f"{usual:.3g} % (median), {largest:.4g} % at most"
+            if name == "warmed":
+                share = 100 * record.heard[good, d].mean()
+                text += f", a quarter or more in {share:.3g} % of all cases"
+            yield text
+
+
+def _of_growth(record):
+    """Yield in words by how much balls have grown, and what packings did."""
+    if record.lost:
+        lost = f"{record.lost} of {len(record.ball)} packings found no rest"
+        yield Caution(f"{lost}: their amplitudes are NaN")
+    by = f"{np.abs(record.growth).max(initial=0.0):.4g}"
+    if record.growth_overlap is not None:
+        large, least = np.abs(record.growth_overlap).max(initial=0.0), np.abs(record.growth_least)
+        if large > LARGE_GROWTH:
+            yield Caution(
+                f"radii grow by {large:.3g} of the mean overlap: beyond {LARGE_GROWTH:g} packings "
+                "rearrange, and derivatives by radii say little of what happens"
+            )
+        by += (
+            f", {large:.3g} of the mean overlap and, of a ball's own smallest overlap, "
+            f"{np.median(least):.3g} (median) to {least.max():.3g}"
+        )
+    if record.by_radius_bound is not None and np.isinf(record.by_radius_bound).any():
+        yield Caution(
+            "derivatives by radii have no bounds: it is not certain that the packing is stable"
+        )
+    rest = "all balls find a new rest" if record.relaxed else "neighbours frozen"
+    yield f"radii of warm balls grow by up to {by}; {rest}"
+    if record.relaxed and np.any(there := record.outcome != OUTCOMES[-1]):
+        outcomes = [f"{np.count_nonzero(record.outcome == x)} {x}" for x in OUTCOMES[:-1]]
+        opened, closed = (f"{x[there].mean():.3g}" for x in (record.opened, record.closed))
+        yield (
+            f"{counted(len(record.ball), 'packing')}: {', '.join(outcomes)}; on average {opened} "
+            f"contacts opened, {closed} closed"
+        )

@@ -30,15 +30,25 @@ K y = B^T G, and what G is wrong by, count in dA_d/dR_p as far as the packing mo
 only.
 """
 
+import dataclasses
+
 import numpy as np
 
 from pgran.balance.equilibrium import factored
-from pgran.experiments.sensitivity.warmth import with_vectors
 from pgran.medium.rounding import EPSILON
 from pgran.medium.springs import DRIVEN, differences, sparse_rows, stiffness_matrix
 
 COLUMNS = 64  # balls whose growth is solved for at a time
 ROUNDED = 64 * EPSILON  # of the product of magnitudes: more than all operations of a contact
+
+
+def with_vectors(network):
+    """Return the network whose balls move in all directions, as those of a packing do at rest."""
+    if network.displacement == "vector":
+        return network
+    return dataclasses.replace(
+        network, displacement="vector", direction=None, component="drive", damped="all"
+    )
 
 
 class Radii:
@@ -70,6 +80,15 @@ class Radii:
             pairs = zip(self.ends, pushes, strict=True)
             self.static = Static(packing, least, sum(end.multiply(x) for end, x in pairs))
 
+    def parted(self, fields):
+        """Return how far amplitudes, then adjoints, part the balls of each contact.
+
+        Shape (1 + nd, contacts, axes), for fields (1 + nd, unknowns).
+        """
+        parted = (self.apart @ fields.T).T.reshape(len(fields), -1, self.network.axes)
+        parted[0] += self.drive
+        return parted
+
     def derivatives(self, s, fields, errors):
         """Return dA/dR at one s, complex (nd, free balls), and bounds of its error.
 
@@ -77,17 +96,16 @@ class Radii:
         (1 + nd,) bound their errors in the 2-norm. NaN where the packing can move freely; infinite
         bounds where it is not known for certain to be stable.
         """
-        parted = (self.apart @ fields.T).T.reshape(len(fields), -1, self.network.axes)
-        parted[0] += self.drive
-        errors = errors + 4 * EPSILON * np.linalg.norm(fields, axis=1)
+        delta, *zetas = self.parted(fields)
+        delta_error, *zeta_errors = errors + 4 * EPSILON * np.linalg.norm(fields, axis=1)
         pairs = [
-            self._one(s, parted[0], zeta, errors[0], error)
-            for zeta, error in zip(parted[1:], errors[1:], strict=True)
+            self._by_one_detector(s, delta, zeta, delta_error, error)
+            for zeta, error in zip(zetas, zeta_errors, strict=True)
         ]
         values, bounds = (np.array(part) for part in zip(*pairs, strict=True))
         return values, np.where(np.isnan(bounds), np.inf, bounds)
 
-    def _one(self, s, delta, zeta, delta_error, zeta_error):
+    def _by_one_detector(self, s, delta, zeta, delta_error, zeta_error):
         """Return the derivatives of the amplitude at one detector, and their bounds."""
         net, n, d = self.network, self.normal, self.distance
         k, F, hardening = net.stiffness, net.force, (net.power - 1) * net.stiffness / net.overlap
