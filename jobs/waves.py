@@ -16,7 +16,7 @@ import sys
 import numpy as np
 
 import pgran
-from pgran.experiments.structure.waves import ioffe_regel
+from pgran.experiments.structure.scene import ioffe_regel
 
 OMEGA = np.geomspace(0.004, 2.4, 120)  # of waves
 EDGES = np.geomspace(0.004, 2.4, 100)  # below which modes are counted

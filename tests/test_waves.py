@@ -20,7 +20,7 @@ from pgran.command.resolve import SCENES, resolve
 from pgran.driven.bounds import ErrorBounds
 from pgran.errors import InputError
 from pgran.experiments.structure import figures
-from pgran.experiments.structure.waves import Waves, fitted, ioffe_regel, spectrum
+from pgran.experiments.structure.scene import Waves, fitted, ioffe_regel, spectrum
 from pgran.medium import crystals
 from pgran.run.options import read_words
 from pgran.store.record import Result

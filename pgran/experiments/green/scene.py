@@ -1,5 +1,7 @@
 """Scene `green`: how far a unit force on one ball moves another, and local densities of states."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from pgran.driven.accurate import below_relative_accuracy, is_accurate
@@ -11,89 +13,78 @@ from pgran.medium.rounding import EPSILON
 from pgran.medium.source import ALONG, along
 from pgran.medium.units import warn_above_modes
 from pgran.run.agreement import agreeing
-from pgran.run.experiment import PROGRESS, Asked, Caution, Scene, in_parallel, options_of, run_of
+from pgran.run.experiment import (
+    PROGRESS,
+    Asked,
+    Caution,
+    Scene,
+    in_parallel,
+    option,
+    options_of,
+    run_of,
+)
 from pgran.run.frequencies import SWEEP, check_sweep
 from pgran.run.machine import check_memory
-from pgran.run.options import INTEGERS, TEXT, Option
+from pgran.run.options import INTEGERS, Option
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted
 from pgran.store.record import ball_names, columns_of, row_of
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pgran.medium.base import Medium
+    from pgran.run.crew import Crew
+
 GOOD, MISSED = 1, 0  # reasons of frequencies
 BYTES = 200  # of an unknown under each pattern, while a frequency is solved
-
-PLACES = {"low": 0, "high": 2**63 - 1}
+BALLS = {"kind": INTEGERS, "low": 0, "high": 2**63 - 1}
 SOURCES = Option(
-    "green_sources", INTEGERS, (8, 10), "balls that are pushed, indices from 0", **PLACES
+    "green_sources", default=(8, 10), meaning="balls that are pushed, indices from 0", **BALLS
 )
-RECEIVERS = Option(
-    "green_receivers", INTEGERS, None, "balls that are heard; by default those pushed", **PLACES
-)
-DIRECTION = Option(
-    "green_direction",
-    TEXT,
-    "drive",
-    f"of networks with vectors: how balls are pushed and heard: {ALONG}",
-)
-
-
-def summary(result):
-    """Return in words what a run found."""
-    record, good = result.green, result.green.converged_reason > 0
-    nw, omega, density = len(record.omega), record.omega, record.local_density
-    yield (
-        f"{counted(nw, 'frequency')} with {counted(record.factorizations, 'factorization')} in "
-        f"{record.solve_seconds:.2f} s: {counted(record.green[0].size, 'pair')} of balls"
-    )
-    if record.failures:
-        failed = f"{record.failures} of {nw} frequencies"
-        yield Caution(f"{failed} failed or missed the accuracy asked for")
-    yield from reached_accuracy(record, good)
-    # without damping densities are lines at the modes
-    whole = nw > 1 and good.all() and result.medium.built.dissipates
-    for p, ball in enumerate(ball_names(record.source) if whole else []):
-        integral = np.diff(omega) @ (density[1:, p] + density[:-1, p]) / 2
-        yield (
-            f"{ball}: its local density of states, joined by straight lines, integrates to "
-            f"{integral:.4g} from {omega[0]:.6g} to {omega[-1]:.6g}; over all frequencies to 1"
-        )
 
 
 @in_parallel(
-    "green",
-    shares_lattice=True,
-    lattice=medium,
-    omegas=SWEEP,
+    "green", shares_lattice=True, lattice=medium, omegas=SWEEP,
     sources=Asked((SOURCES,), SOURCES.of_run),
-    receivers=Asked((RECEIVERS,), RECEIVERS.of_run),
-    direction=Asked((DIRECTION,), DIRECTION.of_run),
-)
+    receivers=lambda balls: balls,  # rows or flat, which the lattice checks
+    direction=lambda direction: direction,  # in words or components, as `along` has it
+)  # fmt: skip
 def green(
-    lattice,
-    omegas,
-    sources,
-    receivers=None,
-    crew=None,
+    lattice: "Medium",
+    omegas: "ArrayLike",
+    sources: "ArrayLike",
+    receivers: "ArrayLike | None" = option(
+        None, "balls that are heard; by default those pushed", **BALLS
+    ),
+    crew: "Crew | None" = None,
     *,
-    direction="drive",
-    error_tolerance=STEADY["error_tolerance"],
-    error_floor=STEADY["error_floor"],
-    progress=PROGRESS,
+    direction: "str | ArrayLike" = option(
+        "drive", f"of networks with vectors: how balls are pushed and heard: {ALONG}"
+    ),
+    error_tolerance: float = STEADY["error_tolerance"],
+    error_floor: float = STEADY["error_floor"],
+    progress: str = PROGRESS,
 ) -> Green:
     """Solve for the displacements of balls under a unit force on one of them.
 
     The matrix G = e_d^T S^-1 e_p of all pairs is symmetric. Its diagonal gives local densities of
     states, -(2 omega m / pi) Im G_pp, whose integrals over all frequencies are 1, and the power
-    that the force puts in, -omega Im G_pp / 2. Nothing else is driven.
+    that the force puts in, -omega Im G_pp / 2 (E. N. Economou, Green's Functions in Quantum
+    Physics). Nothing else is driven.
 
     Parameters
     ----------
-    sources, receivers : array_like of int
-        Balls that are pushed, and balls that are heard, unless given the same: indices, flat or one
-        row a ball.
     direction : str or array_like of float, shape (axes,)
         Of networks with vectors: of all forces and displacements; `drive`, `x`, `y`, `z`, or
         components.
+
+    Examples
+    --------
+    >>> lattice = pgran.Lattice.random((6, 5), seed=1)
+    >>> found = pgran.green(lattice, [0.3], sources=[(2, 2), (4, 1)])
+    >>> bool(abs(found.green[0, 0, 1] / found.green[0, 1, 0] - 1) < 1e-12)
+    True
     """
     with agreeing(crew.world):
         receivers = sources if receivers is None else receivers
@@ -115,11 +106,11 @@ class GreenSweep(PatternSweep):
         check_memory("green_sources", BYTES * lattice.size * (own + heard))
         super().__init__(lattice, omegas, sources, row, choices)
         self.direction = along(lattice, direction, "green_direction")
-        self.pushed, self.heard = self.forces(sources), self.forces(self.receivers)
+        self.pushed, self.heard = self._forces(sources), self._forces(self.receivers)
         if not np.array_equal(self.sites, self.receivers):  # what is pushed is heard, too
             self.heard = np.concatenate([self.heard, self.pushed])
 
-    def forces(self, sites):
+    def _forces(self, sites):
         """Return unit forces on balls as patterns of mass-weighted unknowns, (n, unknowns)."""
         unknowns, _ = self.scaled.readings(sites)
         force = np.zeros((len(sites), self.scaled.size))
@@ -162,6 +153,28 @@ class GreenSweep(PatternSweep):
             at_floor=at_floor,
             local_density=density,
             local_density_bound=factor * rows["own_bound"] + 8 * EPSILON * np.abs(density),
+        )
+
+
+def summary(result):
+    """Yield in words what a run found."""
+    record, good = result.green, result.green.converged_reason > 0
+    nw, omega, density = len(record.omega), record.omega, record.local_density
+    yield (
+        f"{counted(nw, 'frequency')} with {counted(record.factorizations, 'factorization')} in "
+        f"{record.solve_seconds:.2f} s: {counted(record.green[0].size, 'pair')} of balls"
+    )
+    if record.failures:
+        failed = f"{record.failures} of {nw} frequencies"
+        yield Caution(f"{failed} failed or missed the accuracy asked for")
+    yield from reached_accuracy(record, good)
+    # without damping densities are lines at the modes
+    whole = nw > 1 and good.all() and result.medium.built.dissipates
+    for p, ball in enumerate(ball_names(record.source) if whole else []):
+        integral = np.diff(omega) @ (density[1:, p] + density[:-1, p]) / 2
+        yield (
+            f"{ball}: its local density of states, joined by straight lines, integrates to "
+            f"{integral:.4g} from {omega[0]:.6g} to {omega[-1]:.6g}; over all frequencies to 1"
         )
 
 

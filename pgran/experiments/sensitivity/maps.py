@@ -23,7 +23,7 @@ FAINT = 0.05  # of the largest: no wedge for what is smaller
 SHORTEST = 3.0  # points that a line is long, in a panel as it is before the layout
 
 
-class Map:
+class Map(View):
     """The balls and bonds that are seen: of three dimensions those in the plane of one ball.
 
     That is the detector, which is marked. A lattice is a network whose balls touch, within walls;
@@ -32,63 +32,51 @@ class Map:
 
     def __init__(self, medium, detector):
         self.medium, self.lattice = medium, medium.group == "lattice"
-        self.network = network = as_network(medium)
+        network = as_network(medium)
         if self.lattice:
             network = replace(network, radius=np.full(len(network.held), 0.5))
         shape = medium.shape if self.lattice else (len(network.held),)
-        self.detector = int(np.ravel_multi_index(tuple(detector), shape))
         self.site, (self.name,) = tuple(detector), style.ball_names([detector])
-        self.view = View(network, self.detector)
-        self.free = self.view.seen & (network.held == 0)
-        self.segments, self.numbers = self.view.lines(network.bond)
+        self.detector = int(np.ravel_multi_index(self.site, shape))
+        super().__init__(network, self.detector)
+        self.free = self.seen & (network.held == 0)
+        self.segments, self.numbers = self.lines(network.bond)
         self.clear = len(self.segments) <= CLEAR
 
-    def frame(self, ax):
+    def background(self, ax):
         """Set the limits; draw walls, balls that are held, faint bonds, and mark the detector."""
         if self.lattice:
-            bonds.walls(ax, self.medium, tuple(self.site[2:]), arrow=False)
+            bonds.walls(ax, self.medium, self.site[2:], arrow=False)
         else:
-            self.view.frame(ax)
-            self.view.draw(ax, self.view.seen & (self.view.kind > 0), zorder=0.6)
+            self.frame(ax)
+            self.draw(ax, self.seen & (self.kind > 0), zorder=0.6)
         if self.clear:
-            self.view.ground(ax, 0.5)
+            self.ground(ax, 0.5)
         look = style.RING | {"markersize": 4.5, "markeredgewidth": 1.0, "zorder": 5}
-        ax.plot(*self.view.xy[self.detector], label="detector", **look)
+        ax.plot(*self.xy[self.detector], label="detector", **look)
 
     def beside(self, ax, text):
         """Write a text beside the detector, towards the middle of the panel."""
-        (x, _), middle = self.view.xy[self.detector], np.mean(ax.get_xlim())
-        place = {"xytext": (4, 4) if x < middle else (-4, 4), "textcoords": "offset points"}
-        halo = {"path_effects": [style.HALO], "zorder": 5}
-        side = "left" if x < middle else "right"
-        ax.annotate(text, self.view.xy[self.detector], ha=side, fontsize="small", **place, **halo)
+        place = self.xy[self.detector]
+        side, away = ("left", 4) if place[0] < np.mean(ax.get_xlim()) else ("right", -4)
+        look = {"fontsize": "small", "path_effects": [style.HALO], "zorder": 5}
+        ax.annotate(text, place, (away, 4), textcoords="offset points", ha=side, **look)
 
-    def lines(self, ax, values):
-        """Draw numbers from -1 to 1 on all bonds, NaN: none; return what a colour bar is of.
+    def on_bonds(self, ax, values, mean=False):
+        """Draw numbers of bonds, NaN: none, in units of the largest that is seen.
 
-        Widths are as the root of the magnitude; lines of negative numbers are hollow. Those of a
-        large lattice, a few bonds of which are drawn, are longer than bonds.
+        Where bonds are too many to be seen, each ball has the sum over its bonds, or their mean.
+        Returns what is drawn, and the unit.
         """
-        self.frame(ax)
-        points = self.view.points(ax)
-        thickest = min(max(0.45 * points, 1.2), 5.0)
-        of_lines = values[self.numbers]
-        order = np.argsort(np.abs(of_lines), kind="stable")  # the NaNs last
-        order = order[np.isfinite(of_lines[order])]
-        size = np.sqrt(np.minimum(np.abs(of_lines[order]), 1.0))
-        middle = self.segments[order].mean(axis=1, keepdims=True)
-        segments = middle + max(1.0, SHORTEST / points) * (self.segments[order] - middle)
-        look = {"capstyle": "butt", "rasterized": len(order) > MANY}
-        drawn = LineCollection(
-            segments, array=of_lines[order], cmap=STRONG, clim=(-1.0, 1.0),
-            linewidths=thickest * size, zorder=2, **look,
-        )  # fmt: skip
-        ax.add_collection(drawn)
-        hollow = of_lines[order] < -BARRED
-        widths = 0.35 * thickest * size[hollow]
-        look |= {"colors": "white", "linewidths": widths, "zorder": 2.1, "label": "negative"}
-        ax.add_collection(LineCollection(segments[hollow], **look))
-        return drawn
+        if self.each(values):
+            unit = balls.scale_of(np.nan_to_num(values[self.numbers]))
+            return self._lines(ax, values / unit), unit
+        known = np.isfinite(values)
+        values = self.summed(np.where(known, values, 0.0))
+        if mean:
+            values /= np.maximum(self.summed(known), 1)
+        unit = balls.scale_of(values[self.free])
+        return self.discs(ax, values / unit), unit
 
     def each(self, values):
         """Return whether the bonds with a number are few enough to be drawn one by one."""
@@ -100,33 +88,39 @@ class Map:
             return f"red: {grows}; blue, hollow: it falls; width: square root"
         return f"each ball: {combined} over its bonds; red: {grows}; blue: it falls"
 
-    def on_bonds(self, ax, values, mean=False):
-        """Draw numbers of bonds, NaN: none, in units of the largest that is seen.
+    def _lines(self, ax, values):
+        """Draw numbers from -1 to 1 as lines, as wide as the root, of negative ones hollow.
 
-        Where bonds are too many to be seen, each ball has the sum over its bonds, or their mean.
-        Returns what is drawn, and the unit.
+        A few bonds of a large lattice are drawn longer than they are.
         """
-        if self.each(values):
-            unit = balls.scale_of(np.nan_to_num(values[self.numbers]))
-            return self.lines(ax, values / unit), unit
-        known = np.isfinite(values)
-        values = self.summed(np.where(known, values, 0.0))
-        if mean:
-            values /= np.maximum(self.summed(known), 1)
-        unit = balls.scale_of(values[self.free])
-        return self.discs(ax, values / unit), unit
+        self.background(ax)
+        points = self.points(ax)
+        thickest = min(max(0.45 * points, 1.2), 5.0)
+        values = values[self.numbers]
+        order = np.argsort(np.abs(values), kind="stable")  # the NaNs last
+        order = order[np.isfinite(values[order])]
+        values, segments = values[order], self.segments[order]
+        widths = thickest * np.sqrt(np.minimum(np.abs(values), 1.0))
+        middle = segments.mean(axis=1, keepdims=True)
+        segments = middle + max(1.0, SHORTEST / points) * (segments - middle)
+        look = {"capstyle": "butt", "rasterized": len(order) > MANY}
+        colours = {"array": values, "cmap": STRONG, "clim": (-1.0, 1.0), "zorder": 2}
+        drawn = LineCollection(segments, linewidths=widths, **colours, **look)
+        ax.add_collection(drawn)
+        hollow = values < -BARRED
+        look |= {"colors": "white", "linewidths": 0.35 * widths[hollow], "zorder": 2.1}
+        ax.add_collection(LineCollection(segments[hollow], label="negative", **look))
+        return drawn
 
     def summed(self, values):
         """Return for each ball the sum over its bonds, which counts a bond at both its balls."""
-        total = np.zeros(len(self.network.held))
-        for end in self.network.bond.T:
-            np.add.at(total, end, values)
-        return total
+        bond = self.network.bond
+        return np.bincount(bond.ravel(), np.repeat(values, 2), len(self.network.held))
 
     def discs(self, ax, values):
         """Draw numbers of all balls, -1 to 1, as colours of the free ones; return these."""
-        self.frame(ax)
-        return self.view.coloured(ax, values, self.free)
+        self.background(ax)
+        return self.coloured(ax, values, self.free)
 
     def flow(self, ax, values, lost):
         """Draw what flows through bonds, from the first ball to the second where it is positive.
@@ -135,16 +129,16 @@ class Map:
         are too many, a wedge a square cell, for the sum of the vectors along them. Returns the
         balls, coloured by what is lost there. Both are in units of the largest.
         """
-        self.frame(ax)
+        self.background(ax)
         look = {"cmap": LOST, "clim": (0.0, 1.0), "zorder": 0.4, "linewidths": 0}
-        drawn = self.view.draw(ax, self.free, array=lost[self.free], **look)
-        flows, breadth = values[self.numbers], 0.65 * self.view.spacing
-        start, end = self.segments[:, 0], self.segments[:, 1]
+        drawn = self.draw(ax, self.free, array=lost[self.free], **look)
+        flows, breadth = values[self.numbers], 0.65 * self.spacing
+        start, end = np.moveaxis(self.segments, 1, 0)
         if not self.clear:
-            start, end, flows, breadth = self._cells(0.5 * (start + end), flows)
+            start, end, flows, breadth = self._cells(start, end, flows)
         shown = np.abs(flows) > FAINT**2
         flows, start, end = flows[shown], start[shown], end[shown]
-        start, end = (np.where(flows[:, None] >= 0, *pair) for pair in ((start, end), (end, start)))
+        start, end = np.where(flows[:, None] >= 0, [start, end], [end, start])
         along = end - start
         across = np.stack([-along[:, 1], along[:, 0]], axis=1)
         across /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -154,16 +148,16 @@ class Map:
         ax.add_collection(PolyCollection(wedges, zorder=2, **look))
         return drawn
 
-    def _cells(self, middle, flows):
+    def _cells(self, start, end, flows):
         """Return start and end of a wedge a cell, its flow, and the breadth of the largest."""
-        vectors = flows[:, None] * (self.segments[:, 1] - self.segments[:, 0])
-        side = self.view.extent.max() / CELLS
-        cell = ((middle - self.view.low) // side).astype(int)
+        middle, vectors = 0.5 * (start + end), flows[:, None] * (end - start)
+        side = self.extent.max() / CELLS
+        cell = ((middle - self.low) // side).astype(int)
         occupied, number = np.unique(cell, axis=0, return_inverse=True)
         total = np.zeros((len(occupied), 2))
         np.add.at(total, number.ravel(), vectors)
         size = np.linalg.norm(total, axis=1)
-        centre = self.view.low + (occupied + 0.5) * side
+        centre = self.low + (occupied + 0.5) * side
         half = 0.45 * side * total / np.where(size > 0, size, 1.0)[:, None]
         return centre - half, centre + half, size / (size.max() or 1.0), 0.5 * side
 
@@ -195,9 +189,9 @@ def pages(name, draw, record, medium, what, words):
 
 def page(seen, record, panels, what, text):
     """Return the figure of some maps, with what they show and what failed said above."""
-    figure = balls.page(seen.view.extent, panels, what)
+    figure = balls.page(seen.extent, panels, what)
     held = "green: what drives" if seen.lattice else "dark: at rest; green: driven"
-    where = "; ".join(filter(None, [seen.view.plane, f"circle: {seen.name}", held]))
+    where = "; ".join(filter(None, [seen.plane, f"circle: {seen.name}", held]))
     style.above(figure, where, text)
     note_failed(figure, record)
     figure.caption = f"Map of the {what}: {text}; {where}."

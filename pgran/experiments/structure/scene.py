@@ -1,15 +1,37 @@
-"""Scene `structure`: sound waves in a medium, their dispersion, and where they scatter at once."""
+"""Scene `structure`: sound waves in a medium, their dispersion, and where they scatter at once.
 
+Along a periodic axis of length L a wave vector has components 2 pi n / L, and a wave is a cosine
+and a sine. Between walls, a distance L apart, it stands: sin(n pi (x - x_wall) / L). Along an axis
+that is neither, as up to a free surface, it does not vary.
+
+The spectrum of a damped oscillator,
+
+    S(s) = (2 / pi) Re [s / (s^2 + s Gamma + Omega^2)],    s = sigma + i omega,
+
+is for sigma = 0 that of its velocity, (2 / pi) omega^2 Gamma / ((omega^2 - Omega^2)^2 +
+omega^2 Gamma^2), and wider by 2 sigma else: Omega and Gamma can be told from either.
+"""
+
+import contextlib
+import itertools
 import logging
+import math
 import time
+import warnings
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pgran.driven.drive import STEADY, UNSTABLE, is_unstable
+from pgran.driven.sweep import PatternSweep
 from pgran.errors import InputError
 from pgran.experiments.structure.record import Structure
-from pgran.experiments.structure.waves import Spectra, Waves, ioffe_regel
 from pgran.medium.base import medium
+from pgran.medium.bonds import AXES
+from pgran.medium.record import record_of
+from pgran.medium.rounding import EPSILON
+from pgran.medium.space import as_network
+from pgran.medium.springs import FREE, tangents
 from pgran.medium.units import warn_above_modes
 from pgran.run.agreement import agreeing, on_root
 from pgran.run.experiment import (
@@ -23,13 +45,23 @@ from pgran.run.experiment import (
     run_of,
 )
 from pgran.run.frequencies import SWEEP, check_sweep
+from pgran.run.machine import check_memory
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, REAL, Option
 from pgran.run.task import carry_out
-from pgran.store.estimate import counted, with_error
+from pgran.store.estimate import Estimate, counted, with_error, with_errors
+from pgran.store.record import columns_of, row_of
 from pgran.store.si import SI
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pgran.medium.base import Medium
+    from pgran.run.crew import Crew
+
 log = logging.getLogger("pgran")
+ALIKE = 1e-6  # relative: by how much a given wave vector may differ from one that fits
+FEWEST = 6  # points that a fit takes
 COUNT = Option(
     "structure_count", INTEGER, 6, "how many magnitudes of wave vectors, from the smallest", low=1
 )
@@ -44,23 +76,23 @@ WAVEVECTORS = Asked(
     "structure", shares_lattice=True, lattice=medium, wavevectors=WAVEVECTORS, omegas=SWEEP
 )
 def structure(
-    lattice,
-    wavevectors,
-    omegas,
-    crew=None,
+    lattice: "Medium",
+    wavevectors: "int | ArrayLike",
+    omegas: "ArrayLike",
+    crew: "Crew | None" = None,
     *,
-    direction=option(
+    direction: str = option(
         "all", "an axis that waves run along; all, with the diagonals of periodic ones",
         choices=("all", "x", "y", "z"),
     ),
-    width=option(
+    width: float | None = option(
         None,
         "sigma, the real part of s: peaks get wider by 2 sigma, which fits allow for; by default "
         "twice the distance of neighbouring frequencies; 0: width by dashpots alone, one sweep",
         "angular", kind=REAL, low=0,
     ),
-    error_tolerance=STEADY["error_tolerance"],
-    progress=PROGRESS,
+    error_tolerance: float = STEADY["error_tolerance"],
+    progress: str = PROGRESS,
 ) -> Structure:  # fmt: skip
     """Compute the dynamic structure factor of sound waves, and fit damped oscillators to it.
 
@@ -76,6 +108,13 @@ def structure(
         How many magnitudes of wave vectors, the smallest that fit into the medium; or the vectors
         themselves, which are sorted, of components 2 pi n / L along periodic axes and n pi / L
         between walls.
+
+    Examples
+    --------
+    >>> lattice = pgran.Lattice.random((6, 5), seed=1)
+    >>> found = pgran.structure(lattice, 2, [0.1, 0.2, 0.3, 0.4])
+    >>> found.structure_factor.shape  # frequencies, polarisations, wave numbers
+    (4, 1, 2)
     """
     started = time.perf_counter()
     with agreeing(crew.world):
@@ -96,10 +135,265 @@ def structure(
     if lattice.dissipates and np.all(width):
         elastic = carry_out(task.without_dashpots(), crew, progress)
 
-    def record():
-        return task.record(swept, elastic, time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    return on_root(crew.world, lambda: task.record(swept, elastic, seconds), keep=True)
 
-    return on_root(crew.world, record, keep=True)
+
+class Spectra(PatternSweep):
+    """S of groups of waves at sigma + i omega; `sigma` may be one number or one a frequency.
+
+    `waves` are those that fit into the medium.
+    """
+
+    def __init__(self, lattice, omegas, sigma, waves, groups, choices):
+        self.waves, self.groups = waves, groups
+        self.shape = len(waves.branches), len(groups)
+        row = row_of(Structure, branch=self.shape[:1], q=self.shape[1:])
+        super().__init__(lattice, omegas, None, row, choices, sigma)
+        self.patterns, self.places = waves.patterns(groups)
+
+    def without_dashpots(self):
+        """Return the same task for the medium without damping."""
+        return Spectra(
+            self.lattice.undamped(), self.omegas, self.s.real, self.waves, self.groups, self.choices
+        )
+
+    def compute(self, point, solver, s):
+        """See `PatternSweep`."""
+        G, bounds = solver.diagonal(self.patterns)
+        bounds = bounds + (len(G) + 8) * EPSILON * np.abs(G)  # what follows is rounded, too
+        # Re(s G), of the velocity that a force makes, is -omega Im G at s = i omega
+        scale = 2 * self.scaled.mass / np.pi
+        value = point["structure_factor"] = self._summed(scale * np.real(s * G))
+        bound = point["error_bound"] = self._summed(scale * abs(s) * bounds)
+        point["converged_reason"] = np.all(bound <= solver.tolerance * np.abs(value))
+
+    def _summed(self, numbers):
+        """Return the sums of the patterns' numbers over each branch and wave number."""
+        return np.bincount(self.places, numbers, np.prod(self.shape)).reshape(self.shape)
+
+    def record(self, swept, elastic, seconds):
+        """Return the record of the rows with dashpots and without, which may be the same."""
+        sweeps = [swept] if elastic is swept else [swept, elastic]
+        columns = columns_of(Structure, swept)
+        columns["converged_reason"] = np.min([rows["converged_reason"] for rows in sweeps], axis=0)
+        frequency, width = self._oscillators(swept)
+        _, scattering = self._oscillators(elastic)
+        lattice, waves = self.lattice, self.waves
+        power = lattice.springs.damped @ (lattice.springs.B @ self.patterns.T) ** 2  # f^T B^T d B f
+        dashpots = self._summed(power) * lattice.damping / lattice.mass
+        limits = zip(frequency.value, scattering.value, strict=True)
+        return Structure(
+            **columns,
+            **with_errors(frequency=frequency, width=width, scattering=scattering),
+            factorizations=sum(int(rows["factorizations"].sum()) for rows in sweeps),
+            solve_seconds=seconds,
+            omega=self.omegas,
+            resolution=self.s.real,
+            branch=np.array(waves.branches),
+            q=np.array([waves.magnitude(group[0]) for group in self.groups]),
+            wavevector=np.array([waves.unit * group[0] for group in self.groups]),
+            directions=np.array([len(group) for group in self.groups]),
+            dashpots=dashpots + self._summed(lattice.other_widths(self.patterns)),
+            ioffe_regel=np.array([ioffe_regel(*branch)[0] for branch in limits]),
+        )
+
+    def _oscillators(self, rows):
+        """Return Omega and Gamma of each branch and group, an Estimate each."""
+        values = np.where(rows["converged_reason"][:, None, None], rows["structure_factor"], np.nan)
+        fits = [fitted(self.s, each) for each in values.reshape(len(rows), -1).T]
+        numbers = np.array([(fit.value, fit.error) for fit in fits])
+        return [Estimate(*each.T.reshape(2, *self.shape)) for each in np.moveaxis(numbers, 2, 0)]
+
+
+class Waves:
+    """The waves that fit into a medium: arrays of whole numbers n, one for each axis.
+
+    Walls of a network are its outermost held balls that touch free ones, along those axes on which
+    all free balls lie between them. `unit` (d,) is the wave vector of n = 1, 0 along an axis
+    without waves; `branches` are the names of polarisations.
+    """
+
+    def __init__(self, medium):
+        network = as_network(record_of(medium)).built if medium.is_grid else medium
+        if network.position is None:
+            raise InputError("-network_file: waves need the positions of the balls")
+        if medium.components > 1 and network.position.shape[1] != medium.axes:
+            raise InputError("-network_file: positions and normals differ in their dimensions")
+        self.medium, self.place = medium, network.position[network.free]
+        self.axes = self.place.shape[1]
+        self.scalar = medium.components == 1
+        self.branches = ("scalar",) if self.scalar else ("longitudinal", "transverse")
+        nowhere = np.zeros(self.axes)
+        box, gravity = (nowhere if v is None else v for v in (network.box, network.gravity))
+        touching = np.unique(network.bond[np.any(network.held[network.bond] == FREE, axis=1)])
+        held = network.position[touching[network.held[touching] != FREE]]
+        first, last = self.place.min(axis=0), self.place.max(axis=0)
+        low, high = (held.min(axis=0), held.max(axis=0)) if len(held) else (first, last)
+        self.walled = (low < first) & (last < high) & (box == 0) & (gravity == 0)
+        self.start = np.where(self.walled, low, 0.0)
+        period = np.where(self.walled, 2 * (high - low), box)  # of the wave n = 1
+        self.unit = np.divide(2 * math.pi, period, out=nowhere.copy(), where=period > 0)
+
+    def first(self, count, direction):
+        """Return the waves of each of the `count` smallest magnitudes, a list of lists.
+
+        They run along one axis, the `direction`, or in `all`, diagonals of periodic axes included.
+        """
+        check_memory("structure_count", 200 * count * self.medium.size)  # while S is solved
+        waves = {}
+        for step, n in itertools.product(self._directions(direction), range(1, count + 1)):
+            # beside the axis along which it gets shorter there is half a wave between walls
+            wave = np.where((step == 0) & self.walled, 1, n * step)
+            waves[tuple(wave)] = wave
+        if not waves:
+            raise InputError(
+                f"-structure_direction {direction}: no wave fits: it has no period and no walls"
+            )
+        ordered = sorted(waves.values(), key=self.magnitude)
+        groups = itertools.groupby(ordered, lambda wave: f"{self.magnitude(wave):.6e}")
+        return [list(group) for _, group in groups][:count]
+
+    def _directions(self, wanted):
+        """Yield the numbers of the longest wave in each direction."""
+        for step in itertools.product((0, 1, -1), repeat=self.axes):
+            along = np.flatnonzero(step)
+            name = "".join(AXES[axis] for axis in along)
+            fits = np.all(self.unit[along] > 0) and (
+                len(along) == 1 or not self.walled[along].any()
+            )
+            # of a direction and its opposite the first
+            if step > (0,) * self.axes and fits and wanted in ("all", name):
+                yield np.array(step)
+
+    def given(self, wavevectors):
+        """Return waves of given wave vectors, as `first`, the smallest first; refuse others."""
+        if wavevectors.ndim != 2 or wavevectors.shape[1] != self.axes or not len(wavevectors):
+            raise InputError(f"wavevectors: rows of {self.axes} components are needed")
+        waves = np.divide(wavevectors, self.unit, out=0 * wavevectors, where=self.unit > 0).round()
+        fits = np.abs(waves * self.unit - wavevectors) <= ALIKE * np.abs(wavevectors)
+        fits &= (waves != 0) | ~self.walled
+        for at in np.flatnonzero(~fits.all(axis=1) | ~waves.any(axis=1)):
+            raise InputError(
+                f"wavevectors: {wavevectors[at]} does not fit into this medium: components are "
+                f"multiples of {self.unit}, and not 0 between walls"
+            )
+        return [[wave] for wave in sorted(waves.astype(int), key=self.magnitude)]
+
+    def magnitude(self, wave):
+        """Return the wave number of a wave."""
+        return float(np.linalg.norm(wave * self.unit))
+
+    def polarisations(self, wave):
+        """Return for each branch the directions of displacements, shape (n, axes of these).
+
+        A standing wave, which runs both ways, is polarised by the axis along which it is shortest.
+        """
+        if self.scalar:
+            return [np.ones((1, 1))]
+        along = wave * self.unit / self.magnitude(wave)
+        if self.walled.any():
+            along = np.eye(self.axes)[np.argmax(np.abs(along))]
+        return [along[None], np.concatenate(tangents(along[None]))]
+
+    def patterns(self, groups):
+        """Return the patterns f of groups of waves, and the place of each: branch, then group.
+
+        With the displacements g of a wave f = M^(1/2) g / (g^H M g)^(1/2), of mass-weighted
+        unknowns: a force in proportion to the mass. The sum of f^T G f over the patterns of a place
+        is the mean of f^H G f over its waves, as G is symmetric.
+        """
+        rows, places = [], []
+        components, weights = self.medium.components, self.medium.displacements(1.0)
+        for column, group in enumerate(groups):
+            for wave in group:
+                for branch, directions in enumerate(self.polarisations(wave)):
+                    parts = self._parts(wave)[:, None, :, None] * directions[:, None]
+                    f = np.zeros((*parts.shape[:3], components))  # part, polarisation, ball
+                    f[..., : parts.shape[3]] = parts
+                    f = f.reshape(*f.shape[:2], -1) / weights
+                    f /= np.linalg.norm(f, axis=(0, 2), keepdims=True)
+                    f /= math.sqrt(len(group) * len(directions))
+                    rows.append(f.reshape(-1, f.shape[2]))
+                    places += [branch * len(groups) + column] * len(rows[-1])
+        return np.concatenate(rows), np.array(places)
+
+    def _parts(self, wave):
+        """Return a wave at the free balls, in one part if it stands, else a cosine and a sine."""
+        angle = wave * self.unit * (self.place - self.start)
+        standing = np.prod(np.sin(angle[:, self.walled]), axis=1)
+        if not np.linalg.norm(standing) > ALIKE:
+            raise InputError(f"-structure_count: the wave {wave} is 0 at every ball: take fewer")
+        if not wave[~self.walled].any():
+            return standing[None]
+        phase = angle[:, ~self.walled].sum(axis=1)
+        return standing * np.stack([np.cos(phase), np.sin(phase)])
+
+
+def spectrum(s, frequency, width):
+    """Return the spectrum S(s) of an oscillator; its integral over omega > 0 is 1."""
+    return 2 / math.pi * np.real(s / (s * s + s * width + frequency**2))
+
+
+def derivatives(s, frequency, width):
+    """Return the derivatives of that spectrum by Omega and Gamma, shape (n, 2)."""
+    below = (s * s + s * width + frequency**2) ** 2
+    return -2 / math.pi * np.real([2 * frequency * s / below, s * s / below]).T
+
+
+def fitted(s, values):
+    """Return Omega and Gamma of the oscillator nearest to a spectrum, an Estimate of both.
+
+    Standard errors are by the scatter around the fit, which at neighbouring points is alike as far
+    as sigma reaches. Both are NaN where the spectrum has its maximum at an end, or none fits.
+    """
+    from scipy.optimize import OptimizeWarning, curve_fit
+
+    known = np.isfinite(values)
+    s, values = s[known], values[known]
+    best, errors = np.full((2, 2), math.nan)
+    top = np.argmax(values) if len(values) >= FEWEST else 0
+    if 0 < top < len(values) - 1:
+        # at its maximum S is 2 / (pi (Gamma + 2 sigma))
+        start = s[top].imag, max(2 / (math.pi * values[top]) - 2 * s[top].real, 0.0)
+        # it does not converge, or nothing says how well
+        with contextlib.suppress(RuntimeError, OptimizeWarning), warnings.catch_warnings():
+            warnings.simplefilter("error", OptimizeWarning)
+            # The steps of SciPy's own differences are as small as Gamma: none where it is 0.
+            found, covariance = curve_fit(
+                lambda _, *o: spectrum(s, *o), s.imag, values, start,
+                jac=lambda _, *o: derivatives(s, *o),
+            )  # fmt: skip
+            if s[0].imag < found[0] < s[-1].imag:
+                # What a Lorentzian of half width sigma smooths is correlated as one of 2 sigma,
+                # whose area is 2 pi sigma: so many points count as one.
+                alike = np.maximum(2 * math.pi * s.real / np.gradient(s.imag), 1.0)
+                best, errors = found, np.sqrt(alike.mean() * np.diag(covariance))
+    return Estimate(best, errors)
+
+
+def ioffe_regel(frequency, width):
+    """Return the frequency at which pi Gamma is first Omega, and what there is to say of it.
+
+    It is interpolated between neighbouring wave numbers, in whose order the arrays are; NaN if
+    there is none.
+    """
+    known = np.isfinite(frequency) & np.isfinite(width)
+    frequency, ratio = frequency[known], math.pi * width[known] / frequency[known]
+    beyond = np.flatnonzero(ratio >= 1)
+    if not len(ratio):
+        return math.nan, "not known, as no oscillator fits"
+    if not len(beyond):
+        return math.nan, f"not reached: pi Gamma / Omega is at most {ratio.max():.2g}"
+    if beyond[0] == 0:
+        return math.nan, (
+            "below the smallest wave number, for which the sample is too small: there "
+            f"pi Gamma / Omega is {ratio[0]:.3g} already"
+        )
+    pair = slice(beyond[0] - 1, beyond[0] + 1)
+    limit = float(np.interp(1.0, ratio[pair], frequency[pair]))
+    again = np.count_nonzero(ratio[beyond[0] :] < 1)
+    return limit, f"pi Gamma < Omega again at {again} of the larger wave numbers" if again else ""
 
 
 def summary(result):
