@@ -16,7 +16,7 @@ import logging
 import math
 import os
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,10 @@ from pgran.run.numbers import number, windows_of
 from pgran.store.estimate import Estimate, counted, with_errors
 from pgran.store.record import Record, Result, ball_names
 
-log = logging.getLogger("pgran")
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
+log = logging.getLogger("pgran")
 TRIALS = 8, 400  # of moves of either sign, at least and at most
 ROUNDING = 1e-13  # of the reach
 UNLIKE = 3.5  # errors of artanh CC within which strangers are: no move is known
@@ -52,7 +54,12 @@ INSIDE = np.linspace(0, 1, 18)[1:-1, None]  # of an interval, where its model is
 
 
 @called_right
-def compare(a, b, windows=None, stretch=0.02):
+def compare(
+    a: "str | os.PathLike | Result | Record",
+    b: "str | os.PathLike | Result | Record",
+    windows: "ArrayLike | None" = None,
+    stretch: float = 0.02,
+) -> Likeness:
     """Measure how alike two response curves or two codas are, and how much faster one is.
 
     Coda wave interferometry (Snieder, Gret, Douma and Scales, Science 295, 2253 (2002)), and the
@@ -80,14 +87,21 @@ def compare(a, b, windows=None, stretch=0.02):
         If a file cannot be read, or the two are not of one kind, or not heard at as many balls.
     InputError
         If a window is outside of what both have, or has too few points.
+
+    Examples
+    --------
+    >>> soft, stiff = (pgran.Lattice.random((6, 5), seed=1, kmax=k) for k in (0.25, 0.2525))
+    >>> omega = [0.05 + 0.004 * n for n in range(300)]
+    >>> curves = [pgran.sweep(lattice, omega, [(2, 2)]) for lattice in (soft, stiff)]
+    >>> found = pgran.compare(*curves, windows=[0.2, 0.4, 0.4, 0.6])
+    >>> found.stretch[:, 0, 0].round(3).tolist()  # by 1 % of all springs
+    [0.005, 0.005]
     """
     stretch = number("-stretch", stretch)
     if not 0 < stretch < 0.5:
         raise InputError(f"-stretch: a number between 0 and .5 is needed, not {stretch:g}")
-    is_path = [isinstance(each, (str, os.PathLike)) for each in (a, b)]
-    results = [load(x) if path else x for x, path in zip((a, b), is_path, strict=True)]
-    results = [Result([x], scene=x.group) if isinstance(x, Record) else x for x in results]
-    files = [Path(x).name if p else n for x, p, n in zip((a, b), is_path, "AB", strict=True)]
+    (one, file_a), (other, file_b) = _opened(a, "A"), _opened(b, "B")
+    results = one, other
     kind = next((k for k in KINDS if all(hasattr(result, k) for result in results)), None)
     if kind is None:
         scenes = " and ".join(str(getattr(result, "scene", "network")) for result in results)
@@ -104,9 +118,11 @@ def compare(a, b, windows=None, stretch=0.02):
         log.info("A is heard at %s, B at %s", *(", ".join(each) for each in balls))
     sides = [read(record, unit) for record in records]
     windows = _windows(sides, windows, stretch, WIDTH * unit if kind == "response" else None)
-    labels = labels_of(results, files) if all(hasattr(r, "options") for r in results) else files
+    labels = file_a, file_b
+    if all(hasattr(result, "options") for result in results):
+        labels = labels_of(results, labels)
     shape = len(windows), len(balls[0]), len(signals)
-    told = [
+    found = [
         _measure(sides, windows[w], d, signals[n], kind, stretch) for w, d, n in np.ndindex(shape)
     ]
     return Likeness(
@@ -119,8 +135,15 @@ def compare(a, b, windows=None, stretch=0.02):
         detector=records[0].detector,
         low=windows[:, 0] + sides[0].origin,
         high=windows[:, 1] + sides[0].origin,
-        **{name: np.reshape([each[name] for each in told], shape) for name in told[0]},
+        **{name: np.reshape([each[name] for each in found], shape) for name in found[0]},
     )
+
+
+def _opened(given, name):
+    """Return a result that was given, or is in a file, and what to call it."""
+    if isinstance(given, (str, os.PathLike)):
+        return load(given), Path(given).name
+    return Result([given], scene=given.group) if isinstance(given, Record) else given, name
 
 
 def _windows(sides, wanted, reach, width):

@@ -22,6 +22,12 @@ from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 from pgran.store.record import columns_of, row_of
 
 MISSED = 0  # the reason of a frequency whose results miss the accuracy asked for
+# The blocks of springs that a contact's constants stand in, by the fields of a medium.
+BLOCKS = {
+    "stiffness": ("normal",),
+    "tangential": ("transverse", "tangential"),
+    "force": ("transverse", "pre_stress"),
+}
 # Bytes of fields that derivatives are computed of at a time: for one state of a small lattice the
 # calls of NumPy would take as long as the solve.
 TOGETHER = 2**22
@@ -73,18 +79,13 @@ class GradientSweep(AdjointSweep):
     """The derivatives at each frequency, in the lattice's own unit."""
 
     def __init__(self, lattice, omegas, detectors, most, error_tolerance):
-        sites, springs = lattice.sites(detectors), lattice.springs
-        self.most = most
-        # which blocks of springs a contact's constants stand in
-        kinds = {"stiffness": ["normal"]}
-        if getattr(lattice, "tangential", None) is not None:
-            kinds["tangential"] = ["transverse", "tangential"]
-        if getattr(lattice, "force", None) is not None:
-            kinds["force"] = ["transverse", "pre_stress"]
+        sites, self.most = lattice.sites(detectors), most
         self.blocks = {
-            name: np.flatnonzero(np.isin(springs.blocks, blocks)) for name, blocks in kinds.items()
+            name: np.flatnonzero(np.isin(lattice.springs.blocks, blocks))
+            for name, blocks in BLOCKS.items()
+            if getattr(lattice, name, None) is not None
         }
-        missing = {f"by_{name}" for name in {"tangential", "force"} - kinds.keys()}
+        missing = {f"by_{name}" for name in BLOCKS.keys() - self.blocks.keys()}
         bonds, balls = lattice.bonds, lattice.free_balls
         if most:
             bonds, balls = min(most, bonds), min(most, balls)
@@ -256,8 +257,7 @@ def _applied(matrix, fields):
 
 def _per_ball(medium, values):
     """Return sums over the components of each ball of values (..., unknowns)."""
-    flat = medium.per_ball(values.reshape(-1, values.shape[-1]))
-    return flat.reshape(*values.shape[:-1], -1)
+    return values.reshape(*values.shape[:-1], -1, medium.components).sum(axis=-1)
 
 
 def _size(x):
