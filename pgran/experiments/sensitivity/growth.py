@@ -44,7 +44,7 @@ def ways_to_rest(medium, relax):
     if not isinstance(medium, Network):
         raise InputError("-heat_radius, -heat_kelvin: only for a network whose balls have radii")
     try:
-        check_law(medium)
+        _check_law(medium)
     except InputError:
         if relax:
             raise
@@ -58,7 +58,7 @@ def ways_to_rest(medium, relax):
     return True, True
 
 
-def check_law(network):
+def _check_law(network):
     """Raise an InputError where the network does not say what larger radii do to it."""
     if network.turns:
         raise InputError(
@@ -68,95 +68,6 @@ def check_law(network):
     pulling = np.flatnonzero(network.force <= 0)
     if len(pulling):
         raise InputError(f"-heat_relax: contact {pulling[0]} bears no repulsive force")
-
-
-class Grown(NamedTuple):
-    """A packing after a ball has grown.
-
-    `network` is None where the balls found no rest; `opened` and `closed` count contacts, `balance`
-    is the largest force left on a ball, in units of the mean one. `left` is what `Unrest` takes.
-    """
-
-    network: Network | None
-    outcome: int
-    opened: int = 0
-    closed: int = 0
-    balance: float = math.nan
-    left: tuple = ()
-
-
-class Packing:
-    """A network as balls at rest under its contact law, which `check_law` has seen."""
-
-    def __init__(self, network):
-        self.network, packing = network, with_vectors(network)
-        balls, self.contacts = balls_of(packing)
-        pushes = network.force[:, None] * packing.normal
-        load = -total_forces(network.bond, pushes, len(network.held))
-        self.balls = dataclasses.replace(balls, load=load)
-        left = np.linalg.norm((load - balls.load)[network.free], axis=1)
-        self.unbalanced = float(left.max() / network.force.mean())
-
-    def warn(self):
-        """Warn where the network is no packing at rest under its contact law alone."""
-        if self.unbalanced > UNBALANCED:
-            log.warning(
-                "the forces of the network leave %.1e of the mean one unbalanced, which is taken "
-                "as a load that stays while balls grow; pgran.equilibrate finds a rest without it",
-                self.unbalanced,
-            )
-
-    def grown(self, ball, growth):
-        """Return the packing at rest after a ball's radius has grown by so much."""
-        radius, contacts = self.balls.radius.copy(), self.contacts
-        radius[ball] += growth
-        rounded = growth - (radius[ball] - self.balls.radius[ball])
-        overlap = contacts.overlap + rounded * np.any(contacts.pairs == ball, axis=1)
-        try:
-            rest = grown(self.balls, dataclasses.replace(contacts, overlap=overlap), radius)
-        except PgranError:  # no rest, or too narrow a box
-            return Grown(None, LOST)
-        network = network_of(rest, self.network)
-        opened, closed = changed_contacts(self.network, network)
-        outcome = SMOOTH
-        if opened or closed:
-            returns = any(self._is_reached_from(rest, step) for step in (math.inf, GROWTH))
-            outcome = CHANGED if returns else REARRANGED
-        left = self._left(rest, network, abs(growth))
-        return Grown(network, outcome, opened, closed, rest.residual, left)
-
-    def _left(self, rest, network, growth):
-        """Return what `Unrest` takes: forces left, rounding of overlaps, the narrowest gap.
-
-        Overlaps are summed up step by step, those of contacts that have closed from positions.
-        """
-        position, both, size = rest.balls.position, (network, self.network), len(network.held)
-        closed = ~np.isin(*(pair_numbers(one.bond, size) for one in both))
-        moved = 4 * np.abs(position - self.balls.position).max() + growth
-        blurred = network.overlap + moved + 2 * closed * np.ptp(position, axis=0).max()
-        blurred *= 4 * EPSILON * (2 + growth / self.network.overlap.mean())
-        forces = np.concatenate([one.force for one in both]) * 8 * EPSILON
-        forces[: network.bonds] += network.stiffness * blurred
-        left = total_forces(network.bond, network.force[:, None] * network.normal, size)
-        left = np.linalg.norm(left + self.balls.load, axis=1)
-        ends = np.concatenate([one.bond.ravel() for one in both])
-        left += np.bincount(ends, np.repeat(forces, 2), size)
-        overlap, known = rest.contacts.overlap, np.isin(rest.contacts.pairs, network.bond)
-        gap = -overlap[(overlap <= 0) & known.all(axis=1)].max(initial=-network.radius.min())
-        return left[network.free], blurred, 0.0 if rest.undecided else gap
-
-    def _is_reached_from(self, rest, step):
-        """Return whether balls shrink back to where they were: who touches, and overlaps."""
-        try:
-            back = grown(rest.balls, rest.contacts, self.balls.radius, step)
-        except PgranError:
-            return False
-        network = network_of(back, self.network)
-        if any(changed_contacts(self.network, network)):
-            return False
-        orders = [np.argsort(pair_numbers(x.bond, len(x.held))) for x in (self.network, network)]
-        here, there = self.network.overlap[orders[0]], network.overlap[orders[1]]
-        return bool(np.abs(here - there).max() <= RETURNED * here.mean())
 
 
 class GrowthTask(Task):
@@ -229,6 +140,97 @@ class GrowthTask(Task):
         turned = {name: np.moveaxis(rows[name], 0, -1).copy() for name in self.row.names}
         turned["outcome"] = np.array(OUTCOMES)[turned["outcome"]]
         return turned
+
+
+class Grown(NamedTuple):
+    """A packing after a ball has grown.
+
+    `network` is None where the balls found no rest; `opened` and `closed` count contacts, `balance`
+    is the largest force left on a ball, in units of the mean one. `left` is what `Unrest` takes.
+    """
+
+    network: Network | None
+    outcome: int
+    opened: int = 0
+    closed: int = 0
+    balance: float = math.nan
+    left: tuple = ()
+
+
+class Packing:
+    """A network as balls at rest under its contact law, which is known: see `ways_to_rest`."""
+
+    def __init__(self, network):
+        self.network, packing = network, with_vectors(network)
+        balls, self.contacts = balls_of(packing)
+        pushes = network.force[:, None] * packing.normal
+        load = -total_forces(network.bond, pushes, len(network.held))
+        self.balls = dataclasses.replace(balls, load=load)
+        left = np.linalg.norm((load - balls.load)[network.free], axis=1)
+        self.unbalanced = float(left.max() / network.force.mean())
+
+    def warn(self):
+        """Warn where the network is no packing at rest under its contact law alone."""
+        if self.unbalanced > UNBALANCED:
+            log.warning(
+                "the forces of the network leave %.1e of the mean one unbalanced, which is taken "
+                "as a load that stays while balls grow; pgran.equilibrate finds a rest without it",
+                self.unbalanced,
+            )
+
+    def grown(self, ball, growth):
+        """Return the packing at rest after a ball's radius has grown by so much."""
+        radius, contacts = self.balls.radius.copy(), self.contacts
+        radius[ball] += growth
+        rounded = growth - (radius[ball] - self.balls.radius[ball])
+        overlap = contacts.overlap + rounded * np.any(contacts.pairs == ball, axis=1)
+        try:
+            rest = grown(self.balls, dataclasses.replace(contacts, overlap=overlap), radius)
+        except PgranError:  # no rest, or too narrow a box
+            return Grown(None, LOST)
+        network = network_of(rest, self.network)
+        opened, closed = changed_contacts(self.network, network)
+        outcome = SMOOTH
+        if opened or closed:
+            returns = any(self._is_reached_from(rest, step) for step in (math.inf, GROWTH))
+            outcome = CHANGED if returns else REARRANGED
+        left = self._left(rest, network, abs(growth))
+        return Grown(network, outcome, opened, closed, rest.residual, left)
+
+    def _left(self, rest, network, growth):
+        """Return what `Unrest` takes: forces left, rounding of overlaps, the narrowest gap.
+
+        Overlaps are summed up step by step, those of contacts that have closed from positions.
+        """
+        position, both, size = rest.balls.position, (network, self.network), len(network.held)
+        closed = ~np.isin(*(pair_numbers(one.bond, size) for one in both))
+        moved = 4 * np.abs(position - self.balls.position).max() + growth
+        blurred = network.overlap + moved + 2 * closed * np.ptp(position, axis=0).max()
+        blurred *= 4 * EPSILON * (2 + growth / self.network.overlap.mean())
+        forces = np.concatenate([one.force for one in both]) * 8 * EPSILON
+        forces[: network.bonds] += network.stiffness * blurred
+        left = total_forces(network.bond, network.force[:, None] * network.normal, size)
+        left = np.linalg.norm(left + self.balls.load, axis=1)
+        ends = np.concatenate([one.bond.ravel() for one in both])
+        left += np.bincount(ends, np.repeat(forces, 2), size)
+        overlap, known = rest.contacts.overlap, np.isin(rest.contacts.pairs, network.bond)
+        gap = -overlap[(overlap <= 0) & known.all(axis=1)].max(initial=-network.radius.min())
+        return left[network.free], blurred, 0.0 if rest.undecided else gap
+
+    def _is_reached_from(self, rest, step):
+        """Return whether balls shrink back to where they were: who touches, and overlaps."""
+        try:
+            back = grown(rest.balls, rest.contacts, self.balls.radius, step)
+        except PgranError:
+            return False
+        network = network_of(back, self.network)
+        if any(changed_contacts(self.network, network)):
+            return False
+        here, there = (
+            one.overlap[np.argsort(pair_numbers(one.bond, len(one.held)))]
+            for one in (self.network, network)
+        )
+        return bool(np.abs(here - there).max() <= RETURNED * here.mean())
 
 
 class Unrest:
