@@ -33,7 +33,7 @@ _HOMES = {
     "export": "pgran.command.export",
     "find_modes": "pgran.experiments.modes.find",
     "green": "pgran.experiments.green.scene",
-    "heat": "pgran.experiments.sensitivity.heat",
+    "heat": "pgran.experiments.sensitivity.scene",
     "load": "pgran.medium.network_file",
     "ordered": "pgran.balance.ordered",
     "pack": "pgran.balance.pack",

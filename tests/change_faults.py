@@ -8,8 +8,7 @@ from samples import SOLVERS, option_values
 from sensitivity_samples import Exact, missed
 
 from pgran.errors import InputError
-from pgran.experiments.sensitivity.heat import heat
-from pgran.experiments.sensitivity.scene import sensitivity
+from pgran.experiments.sensitivity.scene import heat, sensitivity
 from pgran.medium.lattice import Lattice
 from pgran.run.crew import Crew
 from pgran.run.petsc import holding

@@ -239,31 +239,29 @@ class Dense:
         if self.axes > 1:
             n = LONG(network.normal)
             self.n, self.d = n / np.sqrt(np.sum(n * n, axis=1))[:, None], LONG(network.distance)
-        self.S = self.summed(map(self.block, range(network.bonds)))
+        self.S = self.summed(self.blocks())
         self.S += COMPLEX(s) ** 2 * np.diag(np.repeat(LONG(network.masses), self.axes))
         moved = np.zeros((len(network.held), self.axes), COMPLEX)
         moved[network.held == 2] = network.direction
         self.A = moved.ravel() + self.solved(self.S, -(self.S @ moved.ravel()))
 
-    def block(self, c):
-        """What a contact adds for each of its ends."""
-        eye = np.eye(self.axes, dtype=LONG)
+    def blocks(self):
+        """What each contact adds for each of its ends."""
+        eye, (k, F) = np.eye(self.axes, dtype=LONG), (x[:, None, None] for x in (self.k, self.F))
         if self.axes == 1:
-            return (self.k[c] + self.damping) * eye
-        along = np.outer(self.n[c], self.n[c])
+            return (k + self.damping) * eye
+        along = self.n[:, :, None] * self.n[:, None]
         damped = along if self.net.damped == "normal" else eye
-        return self.k[c] * along - self.F[c] / self.d[c] * (eye - along) + self.damping * damped
+        return k * along - F / self.d[:, None, None] * (eye - along) + self.damping * damped
 
     def summed(self, blocks):
         """The sum over contacts of blocks b on the diagonal and -b beside it."""
-        net, axes = self.net, self.axes
-        K = np.zeros((len(net.held), axes, len(net.held), axes), COMPLEX)
-        for (i, j), block in zip(net.bond, blocks, strict=True):
-            K[i, :, i] += block
-            K[j, :, j] += block
-            K[i, :, j] -= block
-            K[j, :, i] -= block
-        return K.reshape(len(net.held) * axes, -1)
+        balls, (i, j) = len(self.net.held), self.net.bond.T
+        K = np.zeros((balls, balls, self.axes, self.axes), COMPLEX)
+        for end, other in ((i, j), (j, i)):
+            np.add.at(K, (end, end), blocks)
+            np.subtract.at(K, (end, other), blocks)
+        return K.swapaxes(1, 2).reshape(balls * self.axes, -1)
 
     def solved(self, S, f):
         """The solution of S x = f for free balls, 0 for others, refined with long residuals."""
@@ -301,14 +299,13 @@ class Dense:
         dh = grows - dd
         dF = k * dh + F * bent
         dk = (net.power - 1) * k**2 * dh / (net.power * F) + k * bent
-        changes, eye = [x * np.eye(1) for x in dk], np.eye(still.axes, dtype=LONG)
+        across = dF / d - F * dd / d**2
+        dk, across, kappa = (x[:, None, None] for x in (dk, across, k + F / d))
+        changes = dk * np.ones((1, 1))
         if self.axes > 1:
-            dashpots = self.damping if net.damped == "normal" else 0.0
-            changes = []
-            for c in range(net.bonds):
-                along, turned = np.outer(n[c], n[c]), np.outer(dn[c], n[c])
-                across = dF[c] / d[c] - F[c] * dd[c] / d[c] ** 2
-                turning = (k[c] + F[c] / d[c] + dashpots) * (turned + turned.T)
-                changes.append(dk[c] * along - across * (eye - along) + turning)
+            along, turned = (x[:, :, None] * n[:, None] for x in (n, dn))
+            kappa = kappa + (self.damping if net.damped == "normal" else 0.0)
+            changes = dk * along - across * (np.eye(still.axes, dtype=LONG) - along)
+            changes = changes + kappa * (turned + turned.swapaxes(1, 2))
         dA = self.solved(self.S, -(self.summed(changes) @ self.A))
         return self.amplitude(detector, dA)

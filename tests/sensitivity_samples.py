@@ -13,8 +13,7 @@ from network_samples import NetworkReference, as_network, eliminated, exactly, r
 from samples import SOLVERS, assert_same, bond_arrays
 
 from pgran.errors import InputError
-from pgran.experiments.sensitivity.heat import heat
-from pgran.experiments.sensitivity.scene import sensitivity
+from pgran.experiments.sensitivity.scene import heat, sensitivity
 from pgran.medium.lattice import Lattice
 from pgran.medium.network import Network
 from pgran.run.crew import Crew

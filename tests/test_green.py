@@ -127,22 +127,18 @@ def test_what_misses_its_accuracy_is_marked(solver_options):
     assert "1 of 1 frequencies failed" in said
 
 
-@pytest.mark.parametrize(
-    ("choices", "said"),
-    [
-        ({"sources": [4, 3]}, "green_sources: ball (4, 3) is outside"),
-        ({"sources": [1, 1], "receivers": [1]}, "green_receivers: needs 2 indices"),
-        ({"sources": [1, 1], "direction": "x"}, "balls of this medium have one displacement"),
-    ],
-)
-def test_what_is_refused(choices, said):
-    with pytest.raises(InputError) as refused:
-        pgran.green(random_lattice((4, 3)), [0.3], **choices)
-    assert said in str(refused.value)
+NETWORK = packing("vector")
+LATTICE = random_lattice((4, 3))
+REFUSED = [
+    (LATTICE, [4, 3], {}, r"green_sources: ball \(4, 3\) is outside"),
+    (LATTICE, [1, 1], {"receivers": [1]}, "green_receivers: needs 2 indices"),
+    (LATTICE, [1, 1], {"direction": "x"}, "balls of this medium have one displacement"),
+    *((NETWORK, NETWORK.free[:1], {"direction": along}, "drive, x, y, or 2 components")
+      for along in ("z", "1,2,3", "up", (0.0, 0.0), [[1.0, 0.0]])),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("direction", ["z", "1,2,3", "up", (0.0, 0.0), [[1.0, 0.0]]])
-def test_directions_that_are_none(direction):
-    network = packing("vector")
-    with pytest.raises(InputError, match=r"green_direction: .*drive, x, y, or 2 components"):
-        pgran.green(network, [0.3], network.free[:1], direction=direction)
+@pytest.mark.parametrize(("medium", "sources", "choices", "said"), REFUSED)
+def test_what_is_refused(medium, sources, choices, said):
+    with pytest.raises(InputError, match=said):
+        pgran.green(medium, [0.3], sources, **choices)

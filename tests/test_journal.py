@@ -20,7 +20,7 @@ from pgran.experiments.modes.scene import find_modes
 from pgran.experiments.pulse.scene import pulse
 from pgran.experiments.relaxation.scene import relax
 from pgran.experiments.response.scene import sweep
-from pgran.experiments.sensitivity.heat import heat
+from pgran.experiments.sensitivity.scene import heat
 from pgran.medium.law import BondLaw
 from pgran.run.crew import Crew
 from pgran.run.journal import MAGIC, RECORD, Journal

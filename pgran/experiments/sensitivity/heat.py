@@ -1,137 +1,22 @@
-"""What a warm ball, or a cut bond, does to a signal: exact amplitudes, one change at a time."""
+"""What a warm ball, or a cut bond, does to a signal while its neighbours stay in place."""
 
 import dataclasses
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from pgran.driven import drive as driven
 from pgran.errors import InputError
 from pgran.experiments.sensitivity import finite
 from pgran.experiments.sensitivity.gradient import MISSED, AdjointSweep, fields_of, systems_of
 from pgran.experiments.sensitivity.record import OUTCOMES, Heat
-from pgran.medium.base import medium
-from pgran.medium.law import HERTZ
 from pgran.medium.rounding import EPSILON
-from pgran.run.agreement import agreeing
-from pgran.run.experiment import PROGRESS, Caution, in_parallel, option
-from pgran.run.frequencies import SWEEP
-from pgran.run.options import FLAG, INTEGER, INTEGERS, REAL
-from pgran.run.task import carry_out
+from pgran.run.experiment import Caution
 from pgran.store.estimate import counted
 from pgran.store.record import ball_names, columns_of
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.medium.base import Medium
-    from pgran.run.crew import Crew
-
-WAYS = "heat_factor", "heat_overlap", "heat_radius", "heat_kelvin"
 QUARTER = 0.25  # of the amplitude: what the heater of the experiment changed
 LARGE_GROWTH = 0.3  # of the mean overlap: beyond it packings rearrange
 SEED = 1993  # of the balls that are drawn
-
-
-@in_parallel(
-    "heat", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, omegas=SWEEP,
-    balls=lambda balls: balls,  # rows or flat, which the lattice checks
-)  # fmt: skip
-def heat(
-    lattice: "Medium",
-    omegas: "ArrayLike",
-    detectors: "ArrayLike",
-    crew: "Crew | None" = None,
-    *,
-    factor: float | None = option(
-        None, "warm balls one at a time: their bonds become so many times as stiff", kind=REAL,
-        low=0,
-    ),
-    overlap: float | None = option(
-        None,
-        "warm balls one at a time: their contacts overlap by so much more, by Hertz's law "
-        "(-bonds_hertz, or a network's forces)", "length", kind=REAL,
-    ),
-    radius: float | None = option(
-        None, "warm balls of a network one at a time: their radii grow by so much", "length",
-        kind=REAL,
-    ),
-    kelvin: float | None = option(
-        None, "warm balls of a network one at a time by so much: their radii expand", "K",
-        kind=REAL,
-    ),
-    expansion: float = option(
-        9e-6, "relative growth of a radius by heat; by default of glass", "1/K"
-    ),
-    relax: bool | None = option(
-        None,
-        "the packing finds its rest anew around a ball that grows (true, unless the network does "
-        "not know its contact law), or neighbours are frozen", kind=FLAG,
-    ),
-    hertz: float = HERTZ,
-    balls: "ArrayLike | None" = option(
-        None, "balls to warm, 8,10 or of two balls 8,10,3,4; by default all", kind=INTEGERS, low=0,
-        high=2**63 - 1,
-    ),
-    samples: int | None = option(
-        None, "warm only so many balls, drawn at random", kind=INTEGER, low=1
-    ),
-    cut: bool = option(False, "cut bonds one at a time, with their dashpots"),
-    error_tolerance: float = driven.STEADY["error_tolerance"],
-    progress: str = PROGRESS,
-) -> Heat:  # fmt: skip
-    """Return the amplitudes after each ball is warmed, or each bond is cut, one at a time.
-
-    They are exact, however large changes are. Where neighbours stay in place, each unknown at the
-    springs that change takes one solve with the factorization of its frequency: with the rows U of
-    these springs, A' = A - y^T Delta (I + U S^-1 U^T Delta)^-1 t (Sherman, Morrison and Woodbury).
-    Tangential springs get stiffer in the same ratio. Where the packing relaxes, its steady states
-    are solved anew. Where radii grow and the network knows its contact law, the record has
-    derivatives by all radii as well.
-
-    Examples
-    --------
-    >>> lattice = pgran.Lattice.random((6, 5), seed=1)
-    >>> found = pgran.heat(lattice, [0.3], [(2, 2)], factor=1.1)
-    >>> found.warmed.shape  # frequencies, detectors, warm balls
-    (1, 1, 30)
-    """
-    given = factor, overlap, radius, kelvin, balls, samples, relax
-    names = *WAYS, "heat_balls", "heat_samples", "heat_relax"
-    check_options(dict(zip(names, given, strict=True)))
-    heater = Heater(factor, overlap, radius, kelvin, expansion, hertz)
-    if not (heater.is_asked or cut):
-        raise InputError(
-            "heat: give a factor or an overlap, or cut=True, or of a packing radius or kelvin"
-        )
-    with agreeing(crew.world):
-        check_solver(lattice, crew)
-        warm = heater.balls(lattice, balls, samples)
-        task = HeatSweep(lattice, omegas, detectors, heater, relax, warm, cut, error_tolerance)
-        relaxation = task.relaxation() if task.relaxed else None
-    driven.check_driven(lattice, crew.world, omegas[0])
-    if relaxation is not None and crew.world.rank == 0:
-        relaxation.packing.warn()
-    record = carry_out(task, crew, progress)
-    if relaxation is not None:
-        grown = carry_out(relaxation, crew, progress)
-        record = record and dataclasses.replace(record, **grown)
-    return with_heard(record) if record and record.warmed is not None else record
-
-
-def check_options(values):
-    """Raise where options contradict each other."""
-    ways = [name for name in WAYS if values[name] is not None]
-    if len(ways) > 1:
-        names = ", ".join(f"-{name}" for name in ways)
-        raise InputError(f"{names}: a ball is warmed in one of these ways; leave the others out")
-    which = [f"-{name}" for name in ("heat_balls", "heat_samples") if values[name] is not None]
-    if which and not ways:
-        raise InputError(f"{which[0]}: say by how much, with -{' or -'.join(WAYS)}")
-    if len(which) > 1:
-        raise InputError(f"{' and '.join(which)}: give one, the balls or how many to draw")
-    if values["heat_relax"] is not None and not {"heat_radius", "heat_kelvin"} & {*ways}:
-        raise InputError("-heat_relax: only for balls that grow, by -heat_radius or -heat_kelvin")
 
 
 def check_solver(lattice, crew):
@@ -169,11 +54,6 @@ class Heater(NamedTuple):
     hertz: float
 
     @property
-    def is_asked(self):
-        """Whether one is."""
-        return any(way is not None for way in self[: len(WAYS)])
-
-    @property
     def grows(self):
         """Whether radii grow."""
         return self.radius is not None or self.kelvin is not None
@@ -183,7 +63,8 @@ class Heater(NamedTuple):
 
         All, unless balls are given, or how many to draw: the same whatever is done to them.
         """
-        count = len(medium.ball_numbers) if self.is_asked else 0
+        ways = self.factor, self.overlap, self.radius, self.kelvin
+        count = medium.free_balls if any(way is not None for way in ways) else 0
         if balls is not None:
             return np.unique(medium.numbers_of(medium.sites(balls, "-heat_balls")))
         if samples is not None and samples > count:
