@@ -109,25 +109,25 @@ class Radii:
         """Return the derivatives of the amplitude at one detector, and their bounds."""
         net, n, d = self.network, self.normal, self.distance
         k, F, hardening = net.stiffness, net.force, (net.power - 1) * net.stiffness / net.overlap
-        sizes = np.linalg.norm(delta, axis=1), np.linalg.norm(zeta, axis=1)
-        errors = self.lengths * delta_error, self.lengths * zeta_error
-        product = sizes[1] * errors[0] + sizes[0] * errors[1] + errors[0] * errors[1]
-        product = 1.01 * product + ROUNDED * sizes[0] * sizes[1]
         a_k, a_F, a_d, a_n = self._slopes(s, delta, zeta)
+        # p, what all of them are wrong by at most
+        size, zeta_size = np.linalg.norm(delta, axis=1), np.linalg.norm(zeta, axis=1)
+        a, b = self.lengths * delta_error, self.lengths * zeta_error
+        p = 1.01 * (zeta_size * a + size * b + a * b) + ROUNDED * size * zeta_size
         if net.has_law:  # of kappa, which the stiffness moves
             slope = net.slope(s)[: net.bonds]
-            a_k, product = a_k * slope, product * np.maximum(1.01 * np.abs(slope), 1.0)
+            a_k, p = a_k * slope, p * np.maximum(1.01 * np.abs(slope), 1.0)
         if not self.relax:
-            return self._summed(a_k * hardening), self._summed(np.abs(product * hardening))
-        q = a_k * hardening + a_F * k
-        G = (a_d - q)[:, None] * n + a_n / d[:, None]
+            return self._summed(a_k * hardening), self._summed(np.abs(p * hardening))
+        # the static solve: where the packing goes moves q, forces and normals
         across = float(net.displacement == "vector")
-        q_error = product * (hardening + across * k / d)
-        turning = F / d**2 + 2 * np.abs(self._turning(s)) / d
-        eta, eta_error, bound = self.static.solved(G, q_error + across * product * turning)
-        curved = a_k * k + a_F * F + F * eta
+        q, q_error = a_k * hardening + a_F * k, p * (hardening + across * k / d)
+        G = (a_d - q)[:, None] * n + a_n / d[:, None]
+        G_error = q_error + across * p * (F / d**2 + 2 * np.abs(self._turning(s)) / d)
+        eta, eta_error, bound = self.static.solved(G, G_error)
+        # the sums over the contacts of each ball, and what they are wrong by
+        curved, curved_error = a_k * k + a_F * F + F * eta, p * (k + across * F / d) + F * eta_error
         value = self._summed(q + k * eta, curved)
-        curved_error = product * (k + across * F / d) + F * eta_error
         bound = bound + self._summed(q_error + k * eta_error, curved_error)
         total = self._summed(np.abs(q) + k * np.abs(eta), np.abs(curved))
         return value, 1.01 * (bound + self.terms * EPSILON * total)
