@@ -47,7 +47,8 @@ class NetworkReference:
         motion = np.full((len(network.held), d + self.turns), mpf(0))
         along = exactly(network.direction)
         motion[network.held == 2, :d] = along
-        matrices = self.K, self.C, self.L
+        matrices = self.whole = self.K, self.C, self.L
+        self.free, self.motion = free, motion.ravel()
         self.drive_K, self.drive_C, self.drive_L = (-(X @ motion.ravel())[free] for X in matrices)
         if network.push is not None:
             push = np.pad(network.push, ((0, 0), (0, self.turns)))

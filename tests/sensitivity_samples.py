@@ -71,22 +71,12 @@ class Exact(NetworkReference):
     def __init__(self, medium):
         """Take a lattice as the network that it is."""
         super().__init__(as_network(medium) if isinstance(medium, Lattice) else medium)
-        net, width = self.network, self.axes + self.turns
-        self.ends, self.beta = net.bond, mpf(float(net.damping))
-        self.free = np.repeat(net.held == 0, width)
-        self.motion = np.full((len(net.held), width), mpf(0))
-        self.motion[net.held == 2, : self.axes] = exactly(net.direction)
-        self.motion = self.motion.ravel()
-        self.inertia = np.full((len(net.held), width), mpf(0))
+        self.ends, self.beta = self.network.bond, mpf(float(self.network.damping))
+        K, self.lossy, L = self.whole
+        self.elastic = K if self.network.loss is None else K + mpmath.mpc(0, 1) * L
+        shape = len(self.network.held), self.axes + self.turns
+        self.inertia, self.dragged = (np.full(shape, mpf(0)) for _ in range(2))
         self.inertia.ravel()[self.free] = self.M
-        self.elastic, self.lossy = (np.full((self.motion.size,) * 2, mpf(0)) for _ in range(2))
-        for n in range(len(self.contacts)):
-            here, elastic, lossy = self.contact(n)
-            self.elastic[here] += elastic
-            if net.loss is not None:
-                self.elastic[here] += mpmath.mpc(0, 1) * self.loss(n)
-            self.lossy[here] += lossy
-        self.dragged = np.full((len(net.held), width), mpf(0))
         self.dragged.ravel()[self.free] = self.drag
 
     def states(self, s, sites, changes=()):
