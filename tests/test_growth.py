@@ -16,7 +16,6 @@ from pgran.experiments.sensitivity import growth
 from pgran.experiments.sensitivity.growth import Packing
 from pgran.experiments.sensitivity.heat import summary
 from pgran.experiments.sensitivity.record import OUTCOMES
-from pgran.medium.lattice import Lattice
 from pgran.medium.network_file import read_network
 from pgran.medium.source import with_source
 from pgran.run.experiment import Caution
@@ -151,31 +150,6 @@ def test_a_detector_that_loses_its_contacts_is_at_rest():
     assert found.opened.tolist() == [3]
     assert found.warmed[0, 0] == found.warmed_bound[0, 0] == 0
     assert np.abs(found.warmed[0, 1, 0] - found.displacement[0, 1]) <= 1e-12
-
-
-# What is refused
-
-CELL = cells(0.01)
-PULLING, IDLE = (dataclasses.replace(CELL, force=[0.01, x, 0.01]) for x in (-0.01, 0.0))
-REFUSED = {
-    "lattice": (Lattice((np.ones(3),), 1.0, 0.1), {"radius": 0.1}, "only for a network"),
-    "rotations": (packing("rotations", power=1.0), {"relax": True}, "balls that turn .* false"),
-    "rubbing": (packing("vector", power=1.0, radius=np.ones(5)), {"relax": True}, "friction"),
-    "law": (packing("vector"), {"relax": True}, "does not know its contact law"),
-    "radii": (packing("vector"), {"radius": None, "kelvin": 1.0}, "-heat_kelvin: .* not known"),
-    "too small": (packing("vector", radius=np.ones(5)), {"radius": -1.0}, "no radius left"),
-    "relax": (packing("vector"), {"radius": None, "factor": 2, "relax": True}, "that grow"),
-    "pulling": (PULLING, {"relax": True}, "contact 1 bears no repulsive force"),
-    "idle": (IDLE, {"relax": True}, "contact 1 bears no repulsive force"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_grow(name):
-    network, choices, said = REFUSED[name]
-    with pytest.raises(InputError, match=said) as caught:
-        heated(network, [0.3], getattr(network, "free", [1])[:1], **{"radius": 0.01} | choices)
-    assert "\n" not in str(caught.value)
 
 
 def test_neighbours_are_frozen_where_the_law_is_not_known():

@@ -1,9 +1,10 @@
 """Warm balls and cut bonds: as if all were solved anew, bounds that hold, and what is refused."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from packing_samples import cells
 from samples import option_values, random_lattice
 from sensitivity_samples import (
     STALE,
@@ -85,7 +86,7 @@ def test_any_number_of_ranks(world, name):
 def test_contacts_of_no_normal_stiffness_are_warmed():
     """Their tangential springs, by the factor."""
     stiffness = NETWORK.stiffness * (np.arange(len(TOUCH)) != 1)
-    network = dataclasses.replace(NETWORK, stiffness=stiffness)
+    network = replace(NETWORK, stiffness=stiffness)
     assert_exact(heated(network, [0.6], [1], factor=3), network, [1], factor=3)
 
 
@@ -178,35 +179,39 @@ def test_a_ball_without_its_only_contact_rests(damping):
 
 # What is refused
 
+LATTICE, CELL = MEDIA["2d"][0], cells(0.01)
+BEADS, GROWS = packing("vector", radius=np.ones(5)), {"radius": 0.01, "relax": True}
 NEGATIVE = NETWORK.stiffness * np.where(np.arange(len(TOUCH)) == 3, -0.01, 1)
-REFUSING = {
-    "lattice": MEDIA["2d"][0],
-    "network": NETWORK,
-    "no force": dataclasses.replace(NETWORK, force=0 * NETWORK.force),
-    "negative": dataclasses.replace(NETWORK, stiffness=NEGATIVE),
-}
+REFUSED = [
+    (LATTICE, {}, "give a factor or an overlap, or cut=True"),
+    (LATTICE, {"factor": -1}, "-heat_factor -1"),
+    (LATTICE, {"factor": 2, "overlap": 1}, "one of these ways"),
+    (LATTICE, {"cut": True, "balls": [[0, 0]]}, "-heat_balls: say by how much"),
+    (LATTICE, {"cut": True, "samples": 2}, "-heat_samples: say by how much"),
+    (LATTICE, {"factor": 2, "samples": 13}, "-heat_samples 13: there are only 12 balls"),
+    (LATTICE, {"factor": 2, "samples": 2, "balls": [[0, 0]]}, "or how many to draw"),
+    (LATTICE, {"factor": 2, "balls": [[4, 0]]}, r"-heat_balls: ball \(4, 0\) is outside"),
+    (LATTICE, {"factor": 2, "balls": [1, 1, 1]}, "-heat_balls: needs 2 indices"),
+    (LATTICE, {"overlap": 1, "hertz": -1.0}, "-bonds_hertz -1"),
+    (LATTICE, {"radius": 0.1}, "only for a network"),
+    (NETWORK, {"factor": 2, "balls": [4]}, "-heat_balls: ball 4 is held"),
+    (NETWORK, {"factor": 2, "balls": [5]}, "-heat_balls: no ball 5; the last is 4"),
+    (NETWORK, {"factor": 2, "relax": True}, "only for balls that grow"),
+    (NETWORK, {"kelvin": 1.0}, "-heat_kelvin: .* not known"),
+    (NETWORK, GROWS, "does not know its contact law"),
+    (BEADS, {"radius": -1.0}, "no radius left"),
+    (replace(BEADS, power=1.0), GROWS, "friction"),
+    (packing("rotations", power=1.0), GROWS, "balls that turn .* -heat_relax false"),
+    (replace(NETWORK, force=0 * NETWORK.force), {"overlap": 0.1}, "contact 0 .* no contact law"),
+    (replace(NETWORK, stiffness=NEGATIVE), {"overlap": 0.1}, "contact 3 .* no contact law"),
+    (replace(CELL, force=[0.01, -0.01, 0.01]), GROWS, "contact 1 bears no repulsive force"),
+    (replace(CELL, force=[0.01, 0.0, 0.01]), GROWS, "contact 1 bears no repulsive force"),
+]
 
 
-@pytest.mark.parametrize(
-    ("name", "choices", "said"),
-    [
-        ("lattice", {}, "give a factor or an overlap, or cut=True"),
-        ("lattice", {"factor": -1}, "-heat_factor -1"),
-        ("lattice", {"factor": 2, "overlap": 1}, "one of these ways"),
-        ("lattice", {"cut": True, "balls": [[0, 0]]}, "-heat_balls: say by how much"),
-        ("lattice", {"cut": True, "samples": 2}, "-heat_samples: say by how much"),
-        ("lattice", {"factor": 2, "samples": 13}, "-heat_samples 13: there are only 12 balls"),
-        ("lattice", {"factor": 2, "samples": 2, "balls": [[0, 0]]}, "or how many to draw"),
-        ("lattice", {"factor": 2, "balls": [[4, 0]]}, r"-heat_balls: ball \(4, 0\) is outside"),
-        ("lattice", {"factor": 2, "balls": [1, 1, 1]}, "-heat_balls: needs 2 indices"),
-        ("lattice", {"overlap": 1, "hertz": -1.0}, "-bonds_hertz -1"),
-        ("no force", {"overlap": 0.1}, "-heat_radius: contact 0 .* no contact law has it"),
-        ("negative", {"overlap": 0.1}, "-heat_radius: contact 3 .* no contact law has it"),
-        ("network", {"factor": 2, "balls": [4]}, "-heat_balls: ball 4 is held"),
-        ("network", {"factor": 2, "balls": [5]}, "-heat_balls: no ball 5; the last is 4"),
-    ],
-)
-def test_impossible_values(name, choices, said):
+@pytest.mark.parametrize(("medium", "choices", "said"), REFUSED)
+def test_what_is_refused(medium, choices, said):
+    detectors = [[0, 0]] if medium is LATTICE else medium.free[:1]
     with pytest.raises(InputError, match=said) as caught:
-        heated(REFUSING[name], OMEGAS, [[0, 0]] if name == "lattice" else [1], **choices)
+        heated(medium, OMEGAS, detectors, **choices)
     assert "\n" not in str(caught.value)
