@@ -100,7 +100,8 @@ def structure(
     the power that a medium takes up from a force of the form g of a wave. Its integral over
     omega > 0 is 1, its second moment f^H K f / m. Waves of vectors are longitudinal or transverse.
     Omega(q) is the dispersion. Gamma(q), from a second sweep without dashpots, is the rate of
-    scattering: waves end where pi Gamma = Omega (Ioffe and Regel).
+    scattering: waves end where pi Gamma = Omega, the limit of Ioffe and Regel (H. Shintani and
+    H. Tanaka, Nature Materials 7, 870 (2008)).
 
     Parameters
     ----------
