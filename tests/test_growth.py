@@ -158,3 +158,13 @@ def test_neighbours_are_frozen_where_the_law_is_not_known():
     assert found.by_radius is None
     assert not found.relaxed
     assert any("neighbours frozen" in line for line in summary(found))
+
+
+def test_contacts_made_anew_have_no_dashpots_of_their_own():
+    """Where dashpots differ a packing does not relax; with neighbours frozen they stay."""
+    network = dataclasses.replace(cells(0.01, power=1.5), dashpot=[1.0, 2.0, 3.0])
+    with pytest.raises(InputError, match=r"dashpot differs.* -heat_relax false keeps neighbours"):
+        heated(network, [0.3], [0], radius=1e-6)
+    found = heated(network, [0.3], [0], radius=1e-7, relax=False)
+    slopes = (found.warmed - found.displacement[..., None]) / found.growth
+    assert np.abs(slopes - found.by_radius).max() <= 1e-4 * np.abs(slopes).max()
