@@ -17,8 +17,7 @@ from pgran.errors import InputError, PgranError
 from pgran.experiments.ensemble import scene
 from pgran.experiments.ensemble.sampling import over_samples
 from pgran.experiments.ensemble.scene import KEPT
-from pgran.experiments.relaxation.memory import Series, mean_order
-from pgran.experiments.relaxation.spectrum import power_spectrum
+from pgran.experiments.relaxation.fluctuations import Series, mean_order, power_spectrum
 from pgran.medium.crystals import triangular
 from pgran.medium.record import record_of
 from pgran.medium.sample import make_lattice

@@ -28,7 +28,7 @@ from pgran.experiments.modes import figures as modes
 from pgran.experiments.modes import figures_density as density
 from pgran.experiments.modes import figures_projection as projection
 from pgran.experiments.relaxation import figures as relaxation
-from pgran.experiments.relaxation.spectrum import power_spectrum
+from pgran.experiments.relaxation.fluctuations import power_spectrum
 from pgran.experiments.response import figures as response
 
 FINE = np.linspace(0.1, 1.1, 401)

@@ -15,7 +15,7 @@ import pgran
 from pgran.command.compare import table
 from pgran.errors import PgranError
 from pgran.experiments.likeness.compare import MOVES, Pair
-from pgran.experiments.relaxation import memory
+from pgran.experiments.relaxation import fluctuations as memory
 from pgran.store import file as store
 from pgran.store.estimate import jackknife_samples, with_error
 

@@ -8,8 +8,8 @@ import pytest
 from synthetic import BondSums, fair
 
 from pgran.errors import InputError
-from pgran.experiments.relaxation import memory
-from pgran.experiments.relaxation.memory import Series
+from pgran.experiments.relaxation import fluctuations as memory
+from pgran.experiments.relaxation.fluctuations import Series
 
 MADE = BondSums(12, {1: 0.5, 2: 0.6, 3: 0.8})
 LAGS = np.array([0, 1, 4, 12, 24])
@@ -60,7 +60,7 @@ def test_pairs_are_all_counted():
     """Against sums one pair after the other, of parts and of what is left without them."""
     rows = np.random.default_rng(3).standard_normal((2, 40))
     for row in rows:
-        sums = memory._pair_sums(row, np.array([0, 13, 26]), 9)
+        sums = memory._pair_sums(row, np.array([0, 13, 26]), range(10))
         for part, lag in itertools.product(range(3), range(10)):
             firsts = [t for t in range([0, 13, 26][part], [13, 26, 40][part]) if t + lag < 40]
             naive = [

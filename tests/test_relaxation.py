@@ -14,9 +14,8 @@ from pgran.command.resolve import resolve
 from pgran.driven.steady import SteadySolver
 from pgran.errors import InputError
 from pgran.experiments.relaxation import windows
-from pgran.experiments.relaxation.changes import ChangingBonds
-from pgran.experiments.relaxation.spectrum import power_spectrum
-from pgran.experiments.relaxation.windows import Windows, march
+from pgran.experiments.relaxation.fluctuations import power_spectrum
+from pgran.experiments.relaxation.windows import ChangingBonds, Windows, march
 from pgran.medium.bonds import bond_arrays, bond_count
 from pgran.medium.law import BondLaw
 from pgran.medium.redraw import draw_changes
@@ -57,8 +56,7 @@ def follow(lattice, omega, sites, changes, tolerance=1e-4):
         steady(lattice, sites, tolerance=tolerance) as (operators, solver),
         Windows(ChangingBonds(lattice, operators, None), solver, 1j * omega) as followed,
     ):
-        followed.start()
-        after, bound = followed.follow(changes)
+        after, bound = followed.follow(solver.solve(1j * omega), changes)
     places, steps = lattice.bond_places(changes.bond), range(1, len(after) + 1)
     known = [*exact_amplitudes(lattice, omega, sites, places, changes.stiffness, steps)]
     exact = np.array(known, dtype=complex).reshape(after.shape)
@@ -147,8 +145,8 @@ def test_drift_is_how_far_a_window_ends_from_the_next_start(monkeypatch):
     arguments = random_lattice((4, 5), seed=1, damping=0.01), [1, 2]
     choices = {"steps": 60, "trajectories": 2, "window": 20}
 
-    def spoilt(self, changes):
-        after, bound = follow(self, changes)
+    def spoilt(self, state, changes):
+        after, bound = follow(self, state, changes)
         return after * (1 + next(wrong, 0.0)), bound
 
     assert relaxed(*arguments, **choices).drift < 1e-12

@@ -10,7 +10,7 @@ from scipy.signal import welch
 
 from pgran.errors import InputError
 from pgran.experiments.relaxation import figures as relaxation
-from pgran.experiments.relaxation.spectrum import power_spectrum
+from pgran.experiments.relaxation.fluctuations import power_spectrum
 
 
 def power_law_noise(psi, trajectories, steps, seed):

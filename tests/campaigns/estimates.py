@@ -34,7 +34,7 @@ from pgran.experiments.ensemble.statistics import NoisyCurves
 from pgran.experiments.likeness.compare import MOVES
 from pgran.experiments.modes import levels
 from pgran.experiments.modes.levels import GOE_SPACING_RATIO, POISSON_SPACING_RATIO
-from pgran.experiments.relaxation import memory
+from pgran.experiments.relaxation import fluctuations as memory
 from pgran.store.estimate import MOST
 
 SAMPLES, WIDTHS = (8, 20, 40, 80, 300), 10  # of Gaussian fields, and their window in Gamma

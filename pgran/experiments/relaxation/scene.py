@@ -2,7 +2,7 @@
 
 import contextlib
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -24,10 +24,75 @@ from pgran.run.task import Task, carry_out
 from pgran.store.estimate import counted
 from pgran.store.record import columns_of, row_of
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike
+
+    from pgran.medium.base import Medium
+    from pgran.run.crew import Crew
+
 OMEGA = Option("relax_omega", REAL, 0.6, "driving frequency", "angular", above=0)
 # None draws from the network's own constants.
 LAW = Asked((), lambda options, *others: options.bonds_law and make_law(options), check_law)
 STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windows
+
+
+@in_parallel(
+    "relax", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, law=LAW, omega=OMEGA
+)
+def relax(
+    lattice: "Medium",
+    law: "Callable | None",
+    omega: float,
+    detectors: "ArrayLike",
+    crew: "Crew | None" = None,
+    *,
+    steps: int = option(20000, "number of steps; each redraws one bond", low=1),
+    seed: int = option(1, "seed of the changes", low=0, high=2**63 - 1),
+    method: str = option(
+        "window",
+        "window: many known changes on one factorization; krylov: iterate from the last step; "
+        "direct: factor at each step",
+        choices=("window", "krylov", "direct"),
+    ),
+    window: int = option(0, "steps of a window; 0 = what costs least", low=0, high=4096),
+    trajectories: int = option(1, "independent trajectories, all from the same bonds", low=1),
+    time: float | None = option(
+        None, "time of a step: figures and summaries in s and Hz", "s", kind=REAL, above=0
+    ),
+    error_tolerance: float = driven.STEADY["error_tolerance"],
+    error_floor: float = driven.STEADY["error_floor"],
+    refresh_iterations: int = driven.STEADY["refresh_iterations"],
+    progress: str = PROGRESS,
+) -> Relaxation:
+    """Redraw one bond a step and solve the steady state each time (paper: section 5, timeres).
+
+    After each step t the amplitudes A of S_t(i omega) A = f_t are those of the bonds as they are
+    then, whose changes are drawn by (seed, trajectory, t) alone.
+
+    Parameters
+    ----------
+    law : callable or None
+        Turns an array of numbers uniform on [0, 1) into bond constants, each number by itself, the
+        same always and on all ranks; None draws from the present constants.
+    omega : float
+        Driving frequency, angular.
+
+    Examples
+    --------
+    >>> lattice = pgran.Lattice.random((6, 5), seed=1)
+    >>> found = pgran.relax(lattice, pgran.BondLaw("uniform"), 0.6, [(2, 2)], steps=20)
+    >>> found.amplitude.shape  # trajectories, states, detectors
+    (1, 21, 1)
+    """
+    steady = driven.steady(error_tolerance, error_floor, refresh_iterations)
+    with agreeing(crew.world) as asked:
+        march = March(omega, steps, trajectories, seed, method, window, time)
+        task = Steps(lattice, law, detectors, march, steady)
+        asked["law"] = fingerprint(task.redraw.law(TRIED))
+    driven.check_driven(lattice, crew.world, omega)
+    return carry_out(task, crew, progress)
 
 
 def check(values, given):
@@ -42,9 +107,7 @@ def check(values, given):
         )
     check_ends("spectrum_fit", values)
     if values.get("spectrum_fit_min") is not None:  # a study of accuracy has no such window
-        from pgran.experiments.relaxation.spectrum import check_window
-
-        check_window(values["spectrum_fit_min"], values["spectrum_fit_max"])
+        fluctuations.check_window(values["spectrum_fit_min"], values["spectrum_fit_max"])
 
 
 def summary(result):
@@ -60,49 +123,13 @@ def summary(result):
     yield from fluctuations.summary(result)
 
 
-@in_parallel(
-    "relax", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, law=LAW, omega=OMEGA
-)
-def relax(
-    lattice,
-    law,
-    omega,
-    detectors,
-    crew=None,
-    *,
-    steps=option(20000, "number of steps; each redraws one bond", low=1),
-    seed=option(1, "seed of the changes", low=0, high=2**63 - 1),
-    method=option(
-        "window",
-        "window: many known changes on one factorization; krylov: iterate from the last step; "
-        "direct: factor at each step",
-        choices=("window", "krylov", "direct"),
-    ),
-    window=option(0, "steps of a window; 0 = what costs least", low=0, high=4096),
-    trajectories=option(1, "independent trajectories, all from the same bonds", low=1),
-    time=option(None, "time of a step: figures and summaries in s and Hz", "s", kind=REAL, above=0),
-    error_tolerance=driven.STEADY["error_tolerance"],
-    error_floor=driven.STEADY["error_floor"],
-    refresh_iterations=driven.STEADY["refresh_iterations"],
-    progress=PROGRESS,
-) -> Relaxation:
-    """Redraw one bond a step and solve the steady state each time (paper: section 5, timeres).
-
-    Parameters
-    ----------
-    law : callable or None
-        Turns an array of numbers uniform on [0, 1) into bond constants, each number by itself, the
-        same always and on all ranks; None draws from the present constants.
-    omega : float
-        Driving frequency, angular.
-    """
-    steady = driven.steady(error_tolerance, error_floor, refresh_iterations)
-    with agreeing(crew.world) as asked:
-        march = March(omega, steps, trajectories, seed, method, window, time)
-        task = Steps(lattice, law, detectors, march, steady)
-        asked["law"] = fingerprint(task.redraw.law(TRIED))
-    driven.check_driven(lattice, crew.world, omega)
-    return carry_out(task, crew, progress)
+def run(lattice, options, crew):
+    """Return the relaxation, its spectrum and memory; see `pgran.run.experiment.Scene`."""
+    relaxation = call(relax, options, crew, lattice)
+    if relaxation is None or crew.dry:
+        return relaxation and [relaxation]
+    window = options.spectrum_fit_min, options.spectrum_fit_max
+    return fluctuations.measured(relaxation, window, len(lattice.existing))
 
 
 class March(NamedTuple):
@@ -148,10 +175,9 @@ class Steps(Task):
         """See `Task`."""
         from pgran.driven.operators import Operators
         from pgran.driven.steady import SteadySolver
-        from pgran.experiments.relaxation.changes import ChangingBonds
-        from pgran.experiments.relaxation.windows import march_steps, march_windows
+        from pgran.experiments.relaxation.windows import ChangingBonds, states_along
 
-        draw, s = partial(self.redraw, unit=self.unit), 1j * self.march.omega
+        march, draw = self.march, partial(self.redraw, unit=self.unit)
         with (
             Operators(self.scaled, group) as operators,
             SteadySolver(operators, self.sites, **self.steady) as solver,
@@ -163,11 +189,9 @@ class Steps(Task):
                 before, changes = solver.factorizations, draw(*unit)
                 changing.move_to(trajectory, first)
                 solver.restart()
-                if self.march.method == "window":
-                    states = march_windows(changing, solver, s, changes, self.window)
-                else:
-                    direct = self.march.method == "direct"
-                    states = march_steps(changing, solver, s, changes, direct)
+                states = states_along(
+                    changing, solver, 1j * march.omega, changes, march.method, self.window
+                )
                 rows = np.zeros(count + 1, self.row)
                 rows["displacement"], rows["error_bound"], rows["drift"] = states
                 rows[-1]["factorizations"] = solver.factorizations - before
@@ -207,15 +231,6 @@ class Steps(Task):
             at_floor=below_relative_accuracy(*amplitudes, self.steady["error_tolerance"]),
             **states,
         )
-
-
-def run(lattice, options, crew):
-    """Return the relaxation, its spectrum and memory; see `pgran.run.experiment.Scene`."""
-    window = options.spectrum_fit_min, options.spectrum_fit_max
-    relaxation = call(relax, options, crew, lattice)
-    if relaxation is None or crew.dry:
-        return relaxation and [relaxation]
-    return fluctuations.measured(relaxation, window, len(lattice.existing))
 
 
 OPTIONS = (*options_of(relax), *fluctuations.SPECTRUM)

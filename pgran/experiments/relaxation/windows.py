@@ -12,7 +12,7 @@ driven wall; with w = b^T A, the driven wall counted as displacement 1, the ampl
 
     A' = A - S^-1 b c w,    c = delta / (1 + delta b^T S^-1 b).
 
-As the changes are known ahead (`changes`), that is algebra among the bonds of a window alone
+As the changes are known ahead, that is algebra among the bonds of a window alone
 (`pgran.driven.deformation`), and it is exact but for rounding.
 
 The algebra proves its own results. Let S0, x0, z0 be the matrix, the amplitudes and the adjoint
@@ -28,6 +28,8 @@ h and g being what the algebra misses. As in `pgran.driven.bounds`, x_d + z^T r 
 |r|_2 |r_z|_2 |S^-1|_2, and damping bounds S^-1 for all steps alike. Up to products of residuals
 with Y that sum is the amplitude at the start plus q^T gamma - (q + G eta)^T h, which is reported.
 """
+
+import contextlib
 
 import numpy as np
 
@@ -47,8 +49,82 @@ LONGEST_REACH = 1e-8
 SHORTEST = 4
 
 
+def states_along(changing, solver, s, changes, method, window):
+    """Return the amplitudes before and after each change, their bounds, and how windows drift.
+
+    Collective. The methods `krylov` and `direct` solve at each step. A window, of at most so many
+    steps, begins with a state solved for afresh, which is compared with what the one before made
+    of it.
+    """
+    amplitude = np.empty((len(changes) + 1, len(solver.adjoints)), dtype=complex)
+    bound, drift = np.empty(amplitude.shape), np.zeros(len(amplitude))
+    done, last, reach = 0, None, window  # `last`: up to which step windows have come
+    in_windows = method == "window"
+    with Windows(changing, solver, s) if in_windows else contextlib.nullcontext() as windows:
+        while True:
+            if method != "krylov":
+                solver.restart()
+            state = solver.solve(s)
+            good, start, start_bound = state.converged_reason > 0, np.nan, np.nan
+            if good:
+                start, start_bound = state.displacement, state.error_bound
+            if good and last == done:
+                compared = is_accurate(start_bound, start, solver.tolerance)
+                compared &= is_accurate(bound[done], amplitude[done], solver.tolerance)
+                moved = np.abs(amplitude[done] - start)[compared] / np.abs(start[compared])
+                drift[done] = moved.max(initial=0.0)
+            amplitude[done], bound[done] = start, start_bound
+            if done == len(changes):
+                return amplitude, bound, drift
+            steps = 1
+            if good and in_windows:
+                after, after_bound = windows.follow(state, changes[done : done + reach])
+                last = done + len(after)
+                amplitude[done + 1 : last + 1], bound[done + 1 : last + 1] = after, after_bound
+                steps = max(1, len(after))
+                reach = min(window, 2 * steps)  # after an early end not much more may be reached
+            changing.apply(changes[done : done + steps])
+            done += steps
+
+
+class ChangingBonds:
+    """All bond constants before a step of a trajectory, their operators; `draw` gives Changes."""
+
+    def __init__(self, lattice, operators, draw):
+        self.operators, self.draw = operators, draw
+        self.initial = lattice.constants
+        self.constants = self.initial.copy()
+        self.trajectory, self.step = 0, 0
+
+    def move_to(self, trajectory, step):
+        """Set all bonds to what they are before a step; the operators anew. Collective."""
+        if trajectory != self.trajectory or step < self.step:
+            self.constants[:] = self.initial
+            self.step = 0
+        changes = self.draw(trajectory, self.step, step - self.step)
+        self.constants[changes.bond] = changes.stiffness
+        self.trajectory, self.step = trajectory, step
+        self.operators.set_stiffness(self.constants)
+
+    def differences(self, changes, s):
+        """Return how far each change moves kappa of its bond, which may repeat, at s."""
+        before = self.constants[changes.bond]
+        # Sorted by bond, stably: where a bond repeats, it starts from its change before.
+        order = np.argsort(changes.bond, kind="stable")
+        again = changes.bond[order][1:] == changes.bond[order][:-1]
+        before[order[1:][again]] = changes.stiffness[order[:-1][again]]
+        growth, lattice = changes.stiffness - before, self.operators.lattice
+        return lattice.stiffer(growth, s, changes.bond, before)
+
+    def apply(self, changes):
+        """Carry out the changes of the next steps. Collective."""
+        self.constants[changes.bond] = changes.stiffness  # of several of one bond the last holds
+        self.operators.set_stiffness(self.constants, changes.bond)
+        self.step += len(changes)
+
+
 class Windows(Owner):
-    """Solves windows of steps at s = i omega; destroy with `destroy` or `with`. Collective."""
+    """Follows windows of changes at s = i omega; destroy with `destroy` or `with`. Collective."""
 
     owns = ("_columns",)
 
@@ -65,28 +141,20 @@ class Windows(Owner):
         self.changing, self.solver, self.s = changing, solver, s
         self._columns, self._rows = Columns(solver), self.operators.lattice.rows
 
-    def start(self):
-        """Return the steady state of the bonds as they are, factored afresh. Collective."""
-        self.solver.restart()
-        self.state = self.solver.solve(self.s)
-        return self.state
-
-    def follow(self, changes):
+    def follow(self, state, changes):
         """Return the amplitudes after each change, shape (n, nd), and their bounds. Collective.
 
-        `start` was the state before them, and the bonds stay as they are. n is smaller than the
-        number of changes, even 0, where more would lose accuracy.
+        The solver has found the `state` before them by a fresh factorization; the bonds stay as
+        they are. n is smaller than the number of changes, even 0, where more would lose accuracy.
         """
-        if self.state.converged_reason <= 0:
-            nothing = np.empty((0, len(self.state.displacement)))
-            return nothing + 0j, nothing
         wanted, changes = len(changes), changes.extended(SHORTEST)
         G, norms, residuals = self._flexibility(changes.bond)
+        delta = self.changing.differences(changes, self.s)
         with np.errstate(all="ignore"):  # what is not finite is not accurate
-            primal, adjoints = self._deformations(changes, G, norms)
-            detectors = self._amplitudes(norms, residuals, primal, adjoints)
-            after, error_bound = (np.stack(x, axis=1) for x in zip(*detectors, strict=True))
-            accurate = self._are_accurate(after[:wanted], error_bound[:wanted])
+            deformations = self._deformations(changes.bond, delta, G, norms)
+            found = self._amplitudes(state, delta, norms, residuals, *deformations)
+            after, error_bound = (np.stack(x, axis=1) for x in zip(*found, strict=True))
+            accurate = self._are_accurate(state, after[:wanted], error_bound[:wanted])
         count = wanted if np.all(accurate) else np.argmin(accurate)
         return after[:count], error_bound[:count]
 
@@ -98,22 +166,20 @@ class Windows(Owner):
         )
         return np.concatenate(columns, axis=1), np.concatenate(norms), np.concatenate(residuals)
 
-    def _deformations(self, changes, G, norms):
-        """Return how the amplitudes, and the adjoints of detectors, follow the changes."""
+    def _deformations(self, bonds, delta, G, norms):
+        """Return how the amplitudes, and then the adjoint of each detector, follow the changes."""
         systems = [self.solver.primal, *self.solver.adjoints]
         fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
         # b^T x0 and b^T z0, in rows of their own: see SHORTEST
-        starts = np.ascontiguousarray(self.operators.stretch(fields, changes.bond).T)
-        delta = self._delta = self.changing.differences(changes, self.s)
+        starts = np.ascontiguousarray(self.operators.stretch(fields, bonds).T)
         T, c = march(G, delta)
-        walls = [self.operators.layout.drive[changes.bond], *[0.0] * len(self.solver.adjoints)]
-        primal, *adjoints = (
+        walls = [self.operators.layout.drive[bonds], *[0.0] * len(self.solver.adjoints)]
+        return [
             Deformation(T, c, G, delta, start, self._rows, (system.solution.norm(), norms), wall)
             for system, start, wall in zip(systems, starts, walls, strict=True)
-        )
-        return primal, adjoints
+        ]
 
-    def _amplitudes(self, norms, residuals, primal, adjoints):
+    def _amplitudes(self, state, delta, norms, residuals, primal, *adjoints):
         """Yield the amplitudes at each detector after each step, and their bounds:
 
         |r| |r_z| |S^-1| + |q0| |Y gamma| + |Y eta| (|r0| + |R gamma|), and what rounding adds.
@@ -123,80 +189,30 @@ class Windows(Owner):
         r0 = bounds.primal_residual(solver.primal, terms)
         moved = norms @ primal.coefficient_sizes  # |Y gamma|
         missed = residuals @ primal.coefficient_sizes  # |R gamma|
-        r = primal.residual(r0, residuals)
-        for system, adjoint, before in zip(
-            solver.adjoints, adjoints, self.state.displacement, strict=True
-        ):
+        r, stability = primal.residual(r0, residuals), self._stability(delta)
+        detectors = zip(solver.adjoints, adjoints, state.displacement, strict=True)
+        for system, adjoint, before in detectors:
             q0 = bounds.adjoint_residual(system)
             amplitude, rounding = amplitudes(before, primal, adjoint)
-            theory = r * adjoint.residual(q0, residuals) / self._stability()
+            theory = r * adjoint.residual(q0, residuals) / stability
             # products of residuals with Y, which the amplitude leaves out
             left_out = q0 * moved + (norms @ adjoint.coefficient_sizes) * (r0 + missed)
             bound = 1.01 * (theory + left_out + rounding)
             bound += bounds.evaluation(r0, terms, system, before)
             yield amplitude, bound + 64 * len(r) ** 2 * SMALLEST_NORMAL
 
-    def _stability(self):
+    def _stability(self, delta):
         """Return what bounds |S^-1| after each step: less where kappa lost a part of what damps."""
         stability = self.solver.bounds.stability(self.s)
         if not self.operators.lattice.has_law:
             return stability
-        lost = np.cumsum(np.maximum(-self._delta.imag, 0.0))
+        lost = np.cumsum(np.maximum(-delta.imag, 0.0))
         return np.maximum(stability - self._rows[0] ** 2 * lost, 0.0)
 
-    def _are_accurate(self, after, error_bound):
+    def _are_accurate(self, start, after, error_bound):
         """Return which steps are accurate at all detectors, or as accurate as their start."""
-        solver, start = self.solver, self.state
+        solver = self.solver
         accurate = is_accurate(error_bound, after, min(solver.tolerance, LONGEST_REACH))
         # The floor is for what was no more accurate at the start either.
         at_start = is_accurate(start.error_bound, start.displacement, solver.tolerance)
         return np.all(accurate | ((error_bound <= solver.floor) & ~at_start), axis=1)
-
-
-def march_windows(changing, solver, s, changes, window):
-    """Return the amplitudes before and after each change, their bounds, and how windows drift.
-
-    Collective. Each window, of at most so many steps, starts from a state solved for afresh, which
-    is compared with what the window before made of it.
-    """
-    amplitude = np.empty((len(changes) + 1, len(solver.adjoints)), dtype=complex)
-    bound, drift = np.empty(amplitude.shape), np.zeros(len(amplitude))
-    done, last, reach = 0, 0, window  # `last`: up to which step windows have come
-    with Windows(changing, solver, s) as windows:
-        while True:
-            start, start_bound = _as_asked(windows.start())
-            if done and last == done:
-                compared = is_accurate(start_bound, start, solver.tolerance)
-                compared &= is_accurate(bound[done], amplitude[done], solver.tolerance)
-                moved = np.abs(amplitude[done] - start)[compared] / np.abs(start[compared])
-                drift[done] = moved.max(initial=0.0)
-            amplitude[done], bound[done] = start, start_bound
-            if done == len(changes):
-                return amplitude, bound, drift
-            after, after_bound = windows.follow(changes[done : done + reach])
-            last = done + len(after)
-            amplitude[done + 1 : last + 1], bound[done + 1 : last + 1] = after, after_bound
-            steps = max(1, len(after))
-            changing.apply(changes[done : done + steps])
-            done += steps
-            reach = min(window, 2 * steps)  # after an early end not much more may be reached
-
-
-def march_steps(changing, solver, s, changes, direct):
-    """Return what `march_windows` does, by a solve a step, factored if `direct`. Collective."""
-    states = [_as_asked(solver.solve(s))]
-    for step in range(len(changes)):
-        changing.apply(changes[step : step + 1])
-        if direct:
-            solver.restart()
-        states.append(_as_asked(solver.solve(s)))
-    amplitude, bound = zip(*states, strict=True)
-    return np.stack(amplitude), np.stack(bound), np.zeros(len(amplitude))
-
-
-def _as_asked(state):
-    """Return a state's amplitudes and bounds, NaN if they miss their accuracy."""
-    if state.converged_reason > 0:
-        return state.displacement, state.error_bound
-    missing = np.full(state.displacement.shape, np.nan)
-    return missing, missing
