@@ -18,6 +18,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_matrix
 
 from pgran.driven.operators import SAME
 from pgran.driven.owner import Owner
@@ -56,11 +57,7 @@ class History(NamedTuple):
     """What an integrator found at each of its steps."""
 
     time: np.ndarray
-    displacement: np.ndarray  # of the detectors, shape (steps, nd), as are velocity, acceleration
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    force: np.ndarray  # of the driven wall, and its slope, shape (steps, 2)
-    energy: np.ndarray  # of balls and springs, and its slope
+    functions: dict  # by name the values and the slopes, shape (steps, ...), of each function
     fields: list  # times, and on the first rank displacements of all balls
     complete: bool  # whether the last time was reached
 
@@ -84,18 +81,14 @@ class Integrator(Owner):
         self._second_order = checked_kind(self._given) == "alpha2"
         self._matrix = operators.K.duplicate() if self._second_order else self._first_order_matrix()
         self._u, self._v, self._Ku, self._Cv = (operators.M.duplicate() for _ in range(4))
-        self._products = [(operators.K, 1.0, self._u, self._Ku)]
-        if operators.C is not None:
-            self._products.append((operators.C, operators.damping, self._v, self._Cv))
         numbers, weights = operators.layout.readings(sites)
         mine = (numbers >= operators.first) & (numbers < operators.last)
         # of unknowns of others the weight is zero
         self._detectors = np.where(mine, numbers - operators.first, 0)
-        self._weights, self._count = np.where(mine, weights, 0.0), len(numbers)
+        self._weights = np.where(mine, weights, 0.0)
         drives = [operators.f_stiffness.getArray().real, 0.0 * self._u.getArray().real]
         if operators.C is not None:
             drives[1] = operators.damping * operators.f_damping.getArray().real
-        self._size = operators.lattice.drive_size
         self._driven = np.flatnonzero(np.any(drives, axis=0))
         self._drives = np.array(drives)[:, self._driven]  # of U and of U'
 
@@ -106,20 +99,17 @@ class Integrator(Owner):
         c = 0.0 * k
         if operators.C is not None:
             c = self._damping * operators.C.getValuesCSR()[2]
-        own, counts = operators.last - operators.first, np.diff(pointer)
-        # Row 2 p has one entry; row 2 p + 1 a pair, of k and c, for each entry of row p of K.
-        lengths = np.ones(2 * own, dtype=PETSc.IntType)
-        lengths[1::2] = 2 * counts
-        rows = np.append(0, np.cumsum(lengths)).astype(PETSc.IntType)
-        J_columns = np.empty(rows[-1], dtype=PETSc.IntType)
-        values = np.ones(rows[-1], dtype=PETSc.ScalarType)
-        J_columns[rows[:-1:2]] = 2 * np.arange(operators.first, operators.last) + 1
-        # Before the pairs of row p, the p-th of this rank, stand p + 1 entries of rows 2 p.
-        places = np.arange(2 * len(columns)) + np.repeat(np.arange(1, own + 1), 2 * counts)
-        J_columns[places] = np.stack([2 * columns, 2 * columns + 1], axis=1).ravel()
-        values[places] = np.stack([k, c], axis=1).ravel() / -self._mass
-        size = (2 * own, 2 * operators.size)
-        return PETSc.Mat().createAIJ((size, size), csr=(rows, J_columns, values), comm=self.comm)
+        ball = np.arange(operators.last - operators.first)
+        force = 2 * np.repeat(ball, np.diff(pointer)) + 1  # the row that an entry of K is in
+        places = (
+            np.concatenate([2 * ball, force, force]),
+            np.concatenate([2 * (ball + operators.first) + 1, 2 * columns, 2 * columns + 1]),
+        )
+        values = np.concatenate([np.ones(len(ball)), k / -self._mass, c / -self._mass])
+        sizes = 2 * len(ball), 2 * operators.size  # of this rank's part, and of all
+        J = coo_matrix((values, places), sizes).tocsr()
+        csr = J.indptr, J.indices, J.data
+        return PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=self.comm)
 
     def run(self, time, tolerance, number=0, keep_at=(), begin=None):
         """Integrate from rest until some time, and return the History. Collective.
@@ -143,7 +133,7 @@ class Integrator(Owner):
             ts.setMaxTime(self.rate * time)
             ts.setMaxSteps(STEPS_AT_MOST)
             ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
-            ts.setTolerances(rtol=tolerance, atol=tolerance * self._size)
+            ts.setTolerances(rtol=tolerance, atol=tolerance * self.operators.lattice.drive_size)
             ts.setErrorIfStepFails(False)
             ts.setTimeStep(self.rate * step)
             if self._second_order:
@@ -168,7 +158,8 @@ class Integrator(Owner):
             log.warning(text, ended, time, reason)
         for held in (ts, *pair, *([] if self._second_order else [state])):
             held.destroy()
-        return self._history(complete)
+        steps, functions = self._functions()
+        return History(steps, functions, self._fields, complete)
 
     def _keys(self):
         """Return the options of an integration that are not given, and `ts_dt` as one that is."""
@@ -225,42 +216,41 @@ class Integrator(Owner):
             self._u.setArray(both[::2])
             self._v.setArray(both[1::2])
         self._v.scale(self.rate)
-        forces, powers = 0.0, []  # K u + beta C u', and u^T K u, u'^T beta C u'
-        for matrix, factor, x, product in self._products:
-            matrix.mult(x, product)
-            force = factor * product.getArray(readonly=True).real
-            forces = forces + force
-            powers.append(x.getArray(readonly=True).real @ force)
         u, v = (x.getArray(readonly=True).real for x in (self._u, self._v))
+        operators.K.mult(self._u, self._Ku)
+        forces = 1.0 * self._Ku.getArray(readonly=True).real  # K u + beta C u'
+        held, taken = u @ forces, 0.0
+        if operators.C is not None:
+            operators.C.mult(self._v, self._Cv)
+            drag = operators.damping * self._Cv.getArray(readonly=True).real
+            forces, taken = forces + drag, v @ drag
         a = -forces
         a[self._driven] += self._drive(t)
         a /= operators.mass
-        # A row has u, u', u'' of each detector, those of both drives, then powers and m u'^2.
+        # u, u', u'' of each detector and along both drives; then u^T K u, u'^T beta C u', m u'^2.
         balls = np.array([np.sum(self._weights * x[self._detectors], axis=1) for x in (u, v, a)])
         wall = np.array([x[self._driven] for x in (u, v, a)]) @ self._drives.T
-        self._rows.append((t, [*balls.ravel(), *wall.ravel(), *powers, operators.mass * v @ v]))
+        self._rows.append((t, balls, wall, np.array([held, taken, operators.mass * v @ v])))
         if self._keep_at and t >= self._keep_at[0] - 1e-9 * abs(t):
             del self._keep_at[0]
             self._fields.append((t, operators.layout.field(self._u)))
 
-    def _history(self, complete):
-        """Return what all ranks have noted.
+    def _functions(self):
+        """Return the times of all steps, and what all ranks have noted: values and slopes by name.
 
         With u_k = f_k^T u, u_c = beta f_c^T u and so on, and k, c what holds the balls at the wall:
         the force is k U - u_k + c U' - u_c', the energy (m u'^2 + u^T K u - 2 U u_k + k U^2) / 2,
         and the dashpots take u'^T beta C u' - 2 U' u_c' + c U'^2. Of a push, which springs do not
         hold, the velocity f_k^T u' is in the place of the force.
         """
-        time, rows = (np.array(column) for column in zip(*self._rows, strict=True))
-        rows = self.comm.allreduce(rows)
-        balls, wall, sums = np.split(rows, [3 * self._count, 3 * self._count + 6], axis=1)
-        balls = balls.reshape(len(time), 3, -1)
-        wall = wall.reshape(len(time), 3, 2)
+        time, *noted = (np.array(column) for column in zip(*self._rows, strict=True))
+        balls, wall, sums = (self.comm.allreduce(each) for each in noted)
+        u, v, a = np.moveaxis(balls, 1, 0)
         (u_k, _), (v_k, v_c), (a_k, a_c) = np.moveaxis(wall, 0, -1)
-        held, *taken, moving = sums.T
+        held, taken, moving = sums.T
         k, c = self.operators.lattice.pulls
         U, speed, turn = self.pulse.moves(time, 3)
-        power = sum(taken, 0.0) - 2 * speed * v_c + speed * speed * c
+        power = taken - 2 * speed * v_c + speed * speed * c
         if self.operators.lattice.push is None:
             force, force_slope = U * k - u_k + speed * c - v_c, speed * k - v_k + turn * c - a_c
             energy = 0.5 * (moving + held - 2 * U * u_k + U * U * k)
@@ -268,14 +258,12 @@ class Integrator(Owner):
         else:
             force, force_slope, energy = v_k, a_k, 0.5 * (moving + held)
             energy_slope = U * v_k - power
-        return History(
-            time,
-            *np.moveaxis(balls, 1, 0),
-            np.stack([force, force_slope], axis=1),
-            np.stack([energy, energy_slope], axis=1),
-            self._fields,
-            complete,
-        )
+        return time, {
+            "displacement": (u, v),
+            "velocity": (v, a),
+            "force": (force, force_slope),
+            "energy": (energy, energy_slope),
+        }
 
 
 def checked_kind(options):

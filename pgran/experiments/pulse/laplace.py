@@ -31,18 +31,120 @@ AT_ONCE = 300_000  # numbers of a Fourier transform that are kept at once
 WHOLE = 4e8  # amplitudes of all balls are kept, for energies at all times, if that costs no more
 
 
-def largest_amplitudes(limits, s):
-    """Return no less than any |A(s)|, sigma > 0."""
-    size = np.abs(s)
-    damped = size * (limits.stability + s.real * limits.mass)
-    inertial = limits.mass * size**2 - limits.stiffness - size * limits.damping
-    return 1.01 * (limits.drive + size * limits.drive_damping) / np.maximum(damped, inertial)
+class PulseLine(FrequencySweep):
+    """The amplitudes at the detectors of a Recording along the line, and its Signals."""
 
+    key = "pulse_time"
 
-def largest_speed(limits, pulse, t):
-    """Return no less than |u'|_2 up to some times."""
-    moved, turned = pulse.sizes(t)
-    return (limits.drive * moved + limits.drive_damping * turned) / limits.mass
+    def __init__(self, recording):
+        self.recording, lattice = recording, recording.lattice
+        time, tolerance = recording.time, recording.tolerance
+        limits = limits_of(recording.scaled)
+        readings = recording.scaled.reading_norms(recording.sites)
+        size = tolerance * recording.scaled.drive_size
+        self.line = Line(recording.sent, time[-1], len(time), limits, size, readings)
+        cost = len(self.line.s) * math.prod(lattice.shape) * len(recording.fine)
+        self.whole = recording.fields or cost <= WHOLE
+        row = [
+            ("displacement", complex, (len(recording.sites),)),
+            ("error_bound", float, (len(recording.sites),)),
+            ("force", complex),
+            ("force_error", float),
+            ("reaction", complex),
+            ("reaction_bound", float),
+        ]
+        if self.whole:
+            row.append(("field", complex, lattice.shape))
+        # below the floor an amplitude matters no more
+        relative = 1e-2 * tolerance / max(self.line.growth, 1.0)
+        steady = {"error_tolerance": relative, "error_floor": 1e-20, "derivatives": True}
+        omegas = self.line.s.imag
+        super().__init__(lattice, omegas, recording.sites, row, steady, self.line.sigma)
+
+    def keep(self, point, solver):
+        """See `FrequencySweep`: f^T A, and the field, which comes to the first rank of a group."""
+        operators, moved = solver.operators, solver.field
+        reaction = operators.f.tDot(moved)
+        missed = abs(reaction - point["reaction"]) + point["reaction_bound"]
+        if self.scaled.push is None:
+            point["force"] = self.scaled.pull(operators.s) - reaction
+            point["force_error"] = missed + self.scaled.pull_rounding(abs(operators.s))
+        else:  # the velocity of what is pushed
+            point["force"], point["force_error"] = operators.s * reaction, abs(operators.s) * missed
+        if self.whole:
+            field = operators.layout.field(moved)
+            point["field"] = 0.0 if field is None else field
+
+    def collect(self, rows, seconds):
+        """See `Task`; what failed has an infinite bound."""
+        line, recording = self.line, self.recording
+        bound = np.where(np.isnan(rows["error_bound"]), np.inf, rows["error_bound"])
+        motion, errors = line.signals(np.nan_to_num(rows["displacement"]), bound)
+        wall, at_times = self._work(rows["force"], rows["force_error"]), {}
+        if self.whole:
+            field = np.nan_to_num(rows["field"])
+            field = line.transform.reshape(-1, *[1] * (field.ndim - 1)) * field
+            energy, power = self._energies(field)
+            dissipated, rough = recording.integral(power)
+            work, error = wall["work"]
+            # all three are computed apart from each other
+            error = error + rough + np.maximum.accumulate(np.abs(work - energy - dissipated))
+            wall |= {"energy": (energy, error), "dissipated": (dissipated, error)}
+            if recording.fields:
+                moved = np.concatenate([*line.at(recording.field_time, field)])
+                moved = recording.scaled.displacements(moved)
+                at_times = {"field_time": recording.field_time, "field": moved}
+        return recording.record(
+            "laplace",
+            motion,
+            errors,
+            wall,
+            sigma=line.sigma,
+            period=line.period,
+            solves=len(rows),
+            factorizations=int(rows["factorizations"].sum()),
+            solve_seconds=seconds,
+            **at_times,
+        )
+
+    def _work(self, force, error):
+        """Return force and work of the wall, each with an estimate of its error.
+
+        Of a push its velocity is in the place of the force; see `Recording.taken`.
+        """
+        line, recording = self.line, self.recording
+        force, error = np.nan_to_num(force), np.where(np.isnan(error), np.inf, error)
+        error = line.summed(error + EPSILON * np.abs(force)) * np.exp(line.sigma * recording.fine)
+        force = line.inverse(force * line.transform, recording.finer, recording.before)
+        work, rough = recording.integral(force * recording.taken)
+        with np.errstate(invalid="ignore"):  # a wall at rest does no work, whatever its force is
+            power = np.nan_to_num(error * np.abs(recording.taken), posinf=np.inf)
+        added = np.cumsum(power) * (recording.time[1] / recording.finer)
+        return {
+            "force": (recording.coarse(force), recording.coarse(error)),
+            "work": (work, rough + recording.coarse(added)),
+        }
+
+    def _energies(self, field):
+        """Return the energy of springs and balls at the times, and the dashpots' power at `fine`.
+
+        Both are sums of squares: m v^2 / 2, k (b^T u)^2 / 2, beta (b^T v)^2, and what drag takes.
+        """
+        lattice, line, time, fine = self.scaled, self.line, self.recording.time, self.recording.fine
+        s, flat = line.s[:, None], field.reshape(len(line.s), -1)
+
+        def squares(transforms, weights, time):
+            return np.concatenate([part**2 @ weights for part in line.at(time, transforms)])
+
+        energy = squares(s * flat, np.full(flat.shape[1], 0.5 * lattice.mass), time)
+        power = np.zeros_like(fine)
+        for longer, k, damped in lattice.stretched(field, line.transform):
+            energy += squares(longer, 0.5 * k, time)
+            if lattice.damping:
+                power += squares(s * longer, lattice.damping * damped, fine)
+        if lattice.drags is not None:
+            power += squares(s * flat, lattice.mass * lattice.drags, fine)
+        return energy, power
 
 
 class Line:
@@ -104,17 +206,18 @@ class Line:
         return values * growth.reshape(-1, *[1] * (values.ndim - 1))
 
     def at(self, time, transforms):
-        """Return functions at any times, shape (times, ...); `inverse` is quicker for many."""
-        values = []
+        """Yield functions at any times, (n, ...), some times after the other.
+
+        `inverse` is quicker for many.
+        """
         for some in np.array_split(time, 1 + len(time) * len(self.s) // AT_ONCE):
             turning = self._weight * np.exp(np.outer(some, self.s))
             real, imaginary = (np.ascontiguousarray(x) for x in (turning.real, turning.imag))
             moved = np.tensordot(real, transforms.real, 1)
-            values.append(moved - np.tensordot(imaginary, transforms.imag, 1))
-        return np.concatenate(values)
+            yield moved - np.tensordot(imaginary, transforms.imag, 1)
 
     def signals(self, amplitude, bound):
-        """Return displacements, velocities, and a bound of the error of each, shape (nt, nd).
+        """Return displacements and velocities, and bounds of their errors, shape (nt, nd) each.
 
         From A(s) of each detector and the bound of its error, shape (ns, nd).
         """
@@ -125,14 +228,14 @@ class Line:
         rounding += self.pulse.rounding(self.s, self.transform)
         displacement = np.ones_like(self.s), self.left_out, self._later(1)
         velocity = self.s, self.left_out_speed, self._later(0)
-        signals = []
+        motion, errors = [], []
         for power, left_out, later in (displacement, velocity):
             weight = (self._weight * np.abs(power))[:, None]
             error = weight * (np.abs(U) * bound + rounding[:, None] * np.abs(amplitude))
             at_start = error.sum(axis=0) + left_out * self.readings
-            signals.append(self.inverse(power[:, None] * amplitude * U))
-            signals.append(1.01 * growth * at_start + later[:, None] * self.readings)
-        return signals
+            motion.append(self.inverse(power[:, None] * amplitude * U))
+            errors.append(1.01 * growth * at_start + later[:, None] * self.readings)
+        return motion, errors
 
     def summed(self, errors):
         """Return what errors (ns,) of a function, but for U, add up to without e^(sigma t)."""
@@ -147,126 +250,18 @@ class Line:
         return total
 
 
-def energies(lattice, line, field, time, fine):
-    """Return the energy of springs and balls at times, and power of dashpots at fine ones, by A."""
-    s, U = line.s[:, None], line.transform.reshape(-1, *[1] * (field.ndim - 1))
-    moved = field * U
-    flat = moved.reshape(len(s), -1)
-    energy = _squares(line, s * flat, np.full(flat.shape[1], 0.5 * lattice.mass), time)
-    power = np.zeros_like(fine)
-    for longer, k, damped in lattice.stretched(moved, line.transform):
-        energy += _squares(line, longer, 0.5 * k, time)
-        if lattice.damping:
-            power += _squares(line, s * longer, lattice.damping * damped, fine)
-    if lattice.drags is not None:
-        power += _squares(line, s * flat, lattice.mass * lattice.drags, fine)
-    return energy, power
+def largest_amplitudes(limits, s):
+    """Return no less than any |A(s)|, sigma > 0."""
+    size = np.abs(s)
+    damped = size * (limits.stability + s.real * limits.mass)
+    inertial = limits.mass * size**2 - limits.stiffness - size * limits.damping
+    return 1.01 * (limits.drive + size * limits.drive_damping) / np.maximum(damped, inertial)
 
 
-def _squares(line, transforms, weights, time):
-    """Return at some times the weighted sum of squares of functions, from transforms (ns, n)."""
-    parts = np.array_split(time, 1 + len(time) * len(line.s) // AT_ONCE)
-    return np.concatenate([line.at(part, transforms) ** 2 @ weights for part in parts])
-
-
-class PulseLine(FrequencySweep):
-    """The amplitudes at the detectors of a Recording along the line, and its Signals."""
-
-    key = "pulse_time"
-
-    def __init__(self, recording):
-        self.recording, lattice = recording, recording.lattice
-        time, tolerance = recording.time, recording.tolerance
-        limits = limits_of(recording.scaled)
-        readings = recording.scaled.reading_norms(recording.sites)
-        size = tolerance * recording.scaled.drive_size
-        self.line = Line(recording.sent, time[-1], len(time), limits, size, readings)
-        cost = len(self.line.s) * math.prod(lattice.shape) * len(recording.fine)
-        self.whole = recording.fields or cost <= WHOLE
-        row = [
-            ("displacement", complex, (len(recording.sites),)),
-            ("error_bound", float, (len(recording.sites),)),
-            ("force", complex),
-            ("force_error", float),
-            ("reaction", complex),
-            ("reaction_bound", float),
-        ]
-        if self.whole:
-            row.append(("field", complex, lattice.shape))
-        # below the floor an amplitude matters no more
-        relative = 1e-2 * tolerance / max(self.line.growth, 1.0)
-        steady = {"error_tolerance": relative, "error_floor": 1e-20, "derivatives": True}
-        omegas = self.line.s.imag
-        super().__init__(lattice, omegas, recording.sites, row, steady, self.line.sigma)
-
-    def keep(self, point, solver):
-        """See `FrequencySweep`: f^T A, and the field, which comes to the first rank of a group."""
-        operators, moved = solver.operators, solver.field
-        reaction = operators.f.tDot(moved)
-        missed = abs(reaction - point["reaction"]) + point["reaction_bound"]
-        if self.scaled.push is None:
-            point["force"] = self.scaled.pull(operators.s) - reaction
-            point["force_error"] = missed + self.scaled.pull_rounding(abs(operators.s))
-        else:  # the velocity of what is pushed
-            point["force"], point["force_error"] = operators.s * reaction, abs(operators.s) * missed
-        if self.whole:
-            field = operators.layout.field(moved)
-            point["field"] = 0.0 if field is None else field
-
-    def collect(self, rows, seconds):
-        """See `Task`; what failed has an infinite bound."""
-        line, recording = self.line, self.recording
-        bound = np.where(np.isnan(rows["error_bound"]), np.inf, rows["error_bound"])
-        displacement, error_bound, velocity, velocity_bound = line.signals(
-            np.nan_to_num(rows["displacement"]), bound
-        )
-        wall, field = self._work(rows["force"], rows["force_error"]), None
-        if self.whole:
-            field = np.nan_to_num(rows["field"])
-            times = recording.time, recording.fine
-            energy, power = energies(recording.scaled, line, field, *times)
-            dissipated, rough = recording.integral(power)
-            work, error = wall["work"]
-            # all three are computed apart from each other
-            error = error + rough + np.maximum.accumulate(np.abs(work - energy - dissipated))
-            wall |= {"energy": (energy, error), "dissipated": (dissipated, error)}
-        at_times = {}
-        if recording.fields:
-            U = line.transform.reshape(-1, *[1] * (field.ndim - 1))
-            moved = recording.scaled.displacements(line.at(recording.field_time, U * field))
-            at_times = {"field_time": recording.field_time, "field": moved}
-        return recording.record(
-            "laplace",
-            (displacement, velocity),
-            (error_bound, velocity_bound),
-            wall,
-            sigma=line.sigma,
-            period=line.period,
-            solves=len(rows),
-            factorizations=int(rows["factorizations"].sum()),
-            solve_seconds=seconds,
-            error_bound=error_bound,
-            velocity_bound=velocity_bound,
-            **at_times,
-        )
-
-    def _work(self, force, error):
-        """Return force and work of the wall, each with an estimate of its error.
-
-        Of a push its velocity is in the place of the force; see `Recording.taken`.
-        """
-        line, recording = self.line, self.recording
-        force, error = np.nan_to_num(force), np.where(np.isnan(error), np.inf, error)
-        error = line.summed(error + EPSILON * np.abs(force)) * np.exp(line.sigma * recording.fine)
-        force = line.inverse(force * line.transform, recording.finer, recording.before)
-        work, rough = recording.integral(force * recording.taken)
-        with np.errstate(invalid="ignore"):  # a wall at rest does no work, whatever its force is
-            power = np.nan_to_num(error * np.abs(recording.taken), posinf=np.inf)
-        added = np.cumsum(power) * (recording.time[1] / recording.finer)
-        return {
-            "force": (recording.coarse(force), recording.coarse(error)),
-            "work": (work, rough + recording.coarse(added)),
-        }
+def largest_speed(limits, pulse, t):
+    """Return no less than |u'|_2 up to some times."""
+    moved, turned = pulse.sizes(t)
+    return (limits.drive * moved + limits.drive_damping * turned) / limits.mass
 
 
 def limits_of(lattice):

@@ -2,12 +2,12 @@
 
 import math
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pgran.driven import drive as driven
 from pgran.errors import InputError
-from pgran.experiments.pulse.integration import integrate
 from pgran.experiments.pulse.laplace import PulseLine
 from pgran.experiments.pulse.record import Signals
 from pgran.experiments.pulse.signals import Recording, front_speed
@@ -32,10 +32,94 @@ from pgran.store.record import ball_names
 from pgran.store.si import SI
 from pgran.store.text import read_columns
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pgran.medium.base import Medium
+    from pgran.run.crew import Crew
+
 PROVABLE = 1e-6  # tolerance below which rounding leaves little to be proven
 EQUAL = 0.01  # of a step: how far the times of a motion may be from equal ones
 AT_REST = 0.01  # of a motion's largest: where it may begin
 LARGEST = 1e140  # number of a motion: work takes its square
+
+MOTION = option(
+    None,
+    "the wall's motion, instead of a shape: a column of displacements at the times that are "
+    "recorded, or two columns, times at equal distances and displacements",
+    key="pulse_file", kind=FILE,
+)  # fmt: skip
+WALL = Asked(
+    (MOTION,),
+    lambda run, world, _: run.pulse_file and on_root(world, lambda: read_columns(run.pulse_file)),
+    partial(numbers, "-pulse_file"),
+)
+
+
+@in_parallel("pulse", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS)
+def pulse(
+    lattice: "Medium",
+    detectors: "ArrayLike",
+    crew: "Crew | None" = None,
+    *,
+    shape: str = option(
+        "burst",
+        "how the wall moves: gauss, a bell; ricker, its second derivative; burst, a bell times a "
+        "cosine; step, from 0 to 1",
+        choices=SHAPES,
+    ),
+    omega: float = option(
+        0.6, "burst, ricker: where its spectrum is largest", "angular", above=0
+    ),
+    width: float = option(
+        20.0, "standard deviation of the bell; a ricker's follows from omega", "1/frequency",
+        above=0,
+    ),
+    wall: "ArrayLike | None" = WALL,
+    time: float = option(600.0, "how long signals are recorded", "1/frequency", above=0),
+    points: int = option(1201, "number of times at which signals are recorded", low=2),
+    method: str = option(
+        "auto",
+        "laplace, with proven bounds; integrate, PETSc's TS, with estimates of its errors; auto, "
+        "what is faster",
+        choices=("laplace", "integrate", "auto"),
+    ),
+    fields: bool = option(
+        False, "store the displacement of all balls at four times", key="output_fields"
+    ),
+    error_tolerance: float = driven.STEADY["error_tolerance"],
+    progress: str = PROGRESS,
+) -> Signals:  # fmt: skip
+    """Send a pulse through the lattice, and return the motion of balls.
+
+    m u'' + beta C u' + K u = U f_k + U' beta f_c from rest, U the wall's motion: either integrated,
+    or by the inverse Laplace transform of A(s) U(s) along sigma + i omega, S(s) A = f(s) (K. S.
+    Crump, J. ACM 23, 89 (1976)).
+
+    Examples
+    --------
+    >>> lattice = pgran.Lattice.random((6, 5), seed=1)
+    >>> found = pgran.pulse(lattice, [(0, 2)], time=300.0, points=301)
+    >>> found.displacement.shape, bool(found.error.max() < 1e-4)  # times, detectors
+    ((301, 1), True)
+    """
+    with agreeing(crew.world):
+        sent = Pulse(shape, omega, width) if wall is None else samples_of(wall, time / (points - 1))
+        recording = Recording(lattice, detectors, sent, time, points, error_tolerance, fields)
+        check_times(recording)
+    lowest = sent.omega if sent.shape in ("ricker", "burst") else 0.0
+    driven.check_driven(lattice, crew.world, lowest, in_time=True)
+    with agreeing(crew.world):
+        task = None if method == "integrate" else PulseLine(recording)
+    if method == "auto":
+        transform, integrations = predicted_seconds(recording, len(task.omegas))
+        exact = error_tolerance < PROVABLE
+        method = "integrate" if exact or integrations < transform else "laplace"
+    if method == "integrate":
+        from pgran.experiments.pulse.integration import integrate
+
+        return integrate(recording, crew, progress)
+    return carry_out(task, crew, progress)
 
 
 def check(values, given):
@@ -99,69 +183,6 @@ def _summary_of_ball(signals, si, d, ball):
         rate = with_error(decay, signals.decay_error[d])
         line += f", then decay at the rate {rate}{si.say('1/s', decay)}"
     yield line
-
-
-MOTION = option(
-    None,
-    "the wall's motion, instead of a shape: a column of displacements at the times that are "
-    "recorded, or two columns, times at equal distances and displacements",
-    key="pulse_file", kind=FILE,
-)  # fmt: skip
-WALL = Asked(
-    (MOTION,),
-    lambda run, world, _: run.pulse_file and on_root(world, lambda: read_columns(run.pulse_file)),
-    partial(numbers, "-pulse_file"),
-)
-
-
-@in_parallel("pulse", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS)
-def pulse(
-    lattice,
-    detectors,
-    crew=None,
-    *,
-    shape=option(
-        "burst",
-        "how the wall moves: gauss, a bell; ricker, its second derivative; burst, a bell times a "
-        "cosine; step, from 0 to 1",
-        choices=SHAPES,
-    ),
-    omega=option(0.6, "burst, ricker: where its spectrum is largest", "angular", above=0),
-    width=option(
-        20.0, "standard deviation of the bell; a ricker's follows from omega", "1/frequency",
-        above=0,
-    ),
-    wall=WALL,
-    time=option(600.0, "how long signals are recorded", "1/frequency", above=0),
-    points=option(1201, "number of times at which signals are recorded", low=2),
-    method=option(
-        "auto",
-        "laplace, with proven bounds; integrate, PETSc's TS, with estimates of its errors; auto, "
-        "what is faster",
-        choices=("laplace", "integrate", "auto"),
-    ),
-    fields=option(
-        False, "store the displacement of all balls at four times", key="output_fields"
-    ),
-    error_tolerance=driven.STEADY["error_tolerance"],
-    progress=PROGRESS,
-) -> Signals:  # fmt: skip
-    """Send a pulse through the lattice, and return the motion of balls."""
-    with agreeing(crew.world):
-        sent = Pulse(shape, omega, width) if wall is None else samples_of(wall, time / (points - 1))
-        recording = Recording(lattice, detectors, sent, time, points, error_tolerance, fields)
-        check_times(recording)
-    lowest = sent.omega if sent.shape in ("ricker", "burst") else 0.0
-    driven.check_driven(lattice, crew.world, lowest, in_time=True)
-    with agreeing(crew.world):
-        task = None if method == "integrate" else PulseLine(recording)
-    if method == "auto":
-        transform, integrations = predicted_seconds(recording, len(task.omegas))
-        exact = error_tolerance < PROVABLE
-        method = "integrate" if exact or integrations < transform else "laplace"
-    if method == "integrate":
-        return integrate(recording, crew, progress)
-    return carry_out(task, crew, progress)
 
 
 def samples_of(values, step):

@@ -10,12 +10,10 @@ from pgran.run.machine import check_memory
 from pgran.store.estimate import Estimate
 
 FIELDS = 4  # times at which the field is kept
-LINEAR = {"error_bound", "velocity_bound", "error_estimate", "velocity_estimate", "field"}
 FINE = 0.6  # step times frequency of what is integrated by splines: to about 1e-9
 FINE_BYTES = 550, 1050  # half of what each time takes in between, of shapes and of numbers
 FRONT = 1e-3  # of the integral of v^2: what has passed when a front has arrived
 BLOCKS, FEWEST_BLOCKS = 16, 6  # that a coda is cut into, and that a rate needs
-NODES = 6  # steps of an integrator that a polynomial goes through
 DEGREE = 11  # of the splines that are integrated: an odd number
 
 
@@ -48,10 +46,9 @@ class Recording:
 
     @property
     def taken(self):
-        """What a power is, at the times of `fine`, over what balls answer to the drive.
+        """The wall's velocity at the times of `fine`, by which its force makes a power.
 
-        They answer to a wall by a force, and its velocity makes that a power; to a push, which is
-        this itself, by its balls' velocity.
+        Of a push the push itself: a power by the velocity of what is pushed.
         """
         return self.sent.moves(self.fine, 2)[int(self.scaled.push is None)]
 
@@ -71,12 +68,11 @@ class Recording:
         return work, np.maximum.accumulate(np.abs(work - rougher))
 
     def record(self, method, motion, errors, wall, **more):
-        """Return the Signals.
+        """Return the Signals; `more` are other fields of theirs.
 
         `motion` are displacement and velocity, shape (nt, nd), `errors` what these may be wrong by;
         `wall` has by name the force and work of the wall, energy and what the dashpots took, where
-        they are known, each (nt,) with an estimate of its error, in the unit of `scaled`; `more`
-        are other fields of `Signals`.
+        they are known, each (nt,) with an estimate of its error, in the unit of `scaled`.
         """
         (displacement, velocity), size = motion, self.sent.size
         envelope = envelopes(displacement, velocity)
@@ -84,7 +80,11 @@ class Recording:
         if self.scaled.push is not None:  # a force that is known exactly
             wall = wall | {"force": (self.scaled.push_sizes.sum() * moves, 0 * self.time)}
         wall_arrival = float(arrivals(self.time, speed[:, None], 0 * speed[:, None])[0])
-        more |= {name: size * more[name] for name in LINEAR & more.keys()}
+        how = "bound" if method == "laplace" else "estimate"
+        for name, values in zip(("error", "velocity"), errors, strict=True):
+            more[f"{name}_{how}"] = size * values
+        if self.fields:
+            more["field"] = size * more["field"]
         for name, (values, estimate) in wall.items():
             unit = self.unit * (size if name == "force" else size**2)
             more |= {name: unit * values, f"{name}_estimate": unit * estimate}
@@ -118,18 +118,15 @@ def arrivals(time, velocity, error, earliest=0.0):
     """
     from scipy.integrate import cumulative_trapezoid  # here: SciPy takes its time
 
-    fronts = []
+    fronts = np.full(velocity.shape[1], np.nan)
     passed = [cumulative_trapezoid(x**2, time, axis=0, initial=0.0).T for x in (velocity, error)]
-    for energy, missed in zip(*passed, strict=True):
+    for d, (energy, missed) in enumerate(zip(*passed, strict=True)):
         level = FRONT * energy[-1]
         first = np.argmax(energy > level)
-        if not missed[first] < 0.01 * level:  # a tenth of the velocity
-            fronts.append(np.nan)
-            continue
-        share = (level - energy[first - 1]) / (energy[first] - energy[first - 1])
-        front = time[first - 1] + share * (time[first] - time[first - 1])
-        fronts.append(front if front >= earliest else np.nan)
-    return np.array(fronts)
+        if missed[first] < 0.01 * level:  # a tenth of the velocity
+            share = (level - energy[first - 1]) / (energy[first] - energy[first - 1])
+            fronts[d] = time[first - 1] + share * (time[first] - time[first - 1])
+    return np.where(fronts >= earliest, fronts, np.nan)
 
 
 def front_speed(depth, arrival):
@@ -171,7 +168,7 @@ def codas(time, envelope, error):
     as errors of the displacement are below a tenth of it; NaN where too few are left, or nothing
     decays.
     """
-    from scipy.stats import linregress  # here: SciPy takes its time, and all scenes are imported
+    from scipy.stats import linregress
 
     rates = np.full((2, envelope.shape[1]), np.nan)
     for d, centre in enumerate(centres(time, envelope)):
@@ -199,30 +196,3 @@ def integral(time, values, at=None):
     if degree < 1:
         return np.interp(at, time, cumulative_trapezoid(values, time, initial=0.0))
     return make_interp_spline(time, values, degree).antiderivative()(at)
-
-
-def interpolated(nodes, values, slopes, time):
-    """Return functions at any times from their values and slopes at an integrator's steps.
-
-    By Hermite's polynomials of degree 11 through six steps around each time: with Lagrange's
-    l_n(t), 1 at the node t_n and 0 at the others,
-
-        f(t) = sum_n l_n(t)^2 ((1 - 2 (t - t_n) l_n'(t_n)) f(t_n) + (t - t_n) f'(t_n)).
-
-    The `nodes` increase and embrace all times; values and slopes have the shape (steps, ...).
-    """
-    count = min(NODES, len(nodes))
-    first = np.searchsorted(nodes, time) - count // 2
-    near = np.clip(first, 0, len(nodes) - count)[:, None] + np.arange(count)
-    # Factors of l_n are (t - t_m) / (t_n - t_m), m != n, in arrays [time, n, m]; 1 for m = n.
-    t = nodes[near]
-    apart = t[:, :, None] - t[:, None, :] + np.eye(count)
-    away = (time[:, None] - t)[:, None, :] * np.ones((count, 1))
-    away[:, np.eye(count, dtype=bool)] = 1.0
-    square = np.prod(away / apart, axis=2) ** 2
-    turn = np.sum(1 / apart, axis=2) - 1.0  # l_n'(t_n), without the 1 for m = n
-    offset = time[:, None] - t
-    of_values, of_slopes = (1 - 2 * offset * turn) * square, offset * square
-    return np.einsum("tn,tn...->t...", of_values, values[near]) + np.einsum(
-        "tn,tn...->t...", of_slopes, slopes[near]
-    )
