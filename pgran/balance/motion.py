@@ -78,54 +78,6 @@ def pair_numbers(pairs, balls):
     return np.sort(pairs, axis=1) @ [balls, 1]
 
 
-SOLVE = 20  # multiplications of a factorization that take as long as an entry of a solve
-FEWEST = 20  # solves that a factorization must cost, or it is not kept
-INEXACT = 1e-6  # the part of a step that conjugate gradients leave out
-
-
-class Factors:
-    """Factors of the last matrix that was factored, which solve with others near it, too.
-
-    Where a step opens or closes a few contacts, seven or so solves do. In three dimensions the time
-    of a factorization grows like N^2: of 5000 spheres it is that of 50 solves. Where it is that of
-    `FEWEST` or less, factors are not kept.
-    """
-
-    def __init__(self):
-        self.factors, self.solves = None, 0
-
-    def keep(self, factors):
-        """Keep factors, if they are worth it."""
-        lengths = np.diff(factors.L.indptr).astype(float)
-        self.solves = int(lengths @ lengths / (SOLVE * lengths.sum()))
-        self.factors = factors if self.solves >= FEWEST else None
-
-    def solve(self, K, right):
-        """Return x of K x = right by conjugate gradients, None where factoring K is cheaper.
-
-        None, too, where K is seen not to be positive definite. In any case x leads downhill.
-        """
-        if self.factors is None:
-            return None
-        x, residual = np.zeros_like(right), right.copy()
-        along = near = self.factors.solve(residual)
-        size = first = residual @ near
-        for _ in range(self.solves):
-            product = K @ along
-            curvature = along @ product
-            if not curvature > 0:
-                break
-            x += size / curvature * along
-            residual -= size / curvature * product
-            near = self.factors.solve(residual)
-            before, size = size, residual @ near
-            if size <= INEXACT**2 * first:
-                return x
-            along = near + size / before * along
-        self.factors = None
-        return None
-
-
 @dataclass(frozen=True, eq=False)
 class Balls:
     """N balls in d dimensions: where they are, what they are, and what acts on them.
@@ -173,20 +125,6 @@ class Contacts:
         return dataclasses.replace(self, overlap=overlap, constants=constants)
 
 
-class State(NamedTuple):
-    """Contacts after a displacement: arrays (n,), and (n, d) of the normals."""
-
-    normal: np.ndarray
-    distance: np.ndarray
-    overlap: np.ndarray
-    force: np.ndarray
-
-    @property
-    def work(self):
-        """F h of each contact: alpha + 1 times its energy."""
-        return self.force * np.maximum(self.overlap, 0.0)
-
-
 def listed(balls, contacts=None, *, reach):
     """Return the pairs of balls nearer than `reach` to touching; known contacts keep their numbers.
 
@@ -205,12 +143,27 @@ def listed(balls, contacts=None, *, reach):
     return Contacts(*map(np.concatenate, both))
 
 
+class State(NamedTuple):
+    """Contacts after displacements u (N, d) of balls and the growth eps of the box."""
+
+    u: np.ndarray
+    growth: float
+    normal: np.ndarray  # (n, d); what follows (n,)
+    distance: np.ndarray
+    overlap: np.ndarray
+    force: np.ndarray
+
+    @property
+    def work(self):
+        """F h of each contact: alpha + 1 times its energy."""
+        return self.force * np.maximum(self.overlap, 0.0)
+
+
 class Motion:
     """Balls, displaced about a reference, with their energy and its derivatives."""
 
     def __init__(self, balls, contacts, pressure=None):
         self.balls, self.contacts, self.pressure = balls, contacts, pressure
-        self.factors = Factors()  # of a matrix on the way
         self.free = np.flatnonzero(~balls.held)
         self.number = np.full(len(balls.held), -1)
         self.number[self.free] = np.arange(len(self.free))
@@ -219,7 +172,7 @@ class Motion:
         self.size = balls.position.shape[1]
 
     def state(self, u, growth):
-        """Return the contacts after displacements (N, d) and the growth eps of the box."""
+        """Return the State after displacements and a growth."""
         i, j = self.contacts.pairs.T
         moved, away = u[j] - u[i], self.contacts.away
         vector = away + moved
@@ -227,37 +180,48 @@ class Motion:
         change = np.einsum("nd,nd->n", 2 * away + moved, moved) / (distance + self.length)
         overlap = self.contacts.overlap - change - math.expm1(growth) * distance
         force = self.balls.law.force(self.contacts.constants, overlap)
-        return State(vector / distance[:, None], distance * math.exp(growth), overlap, force)
+        normal = vector / distance[:, None]
+        return State(u, growth, normal, distance * math.exp(growth), overlap, force)
 
-    def forces(self, state, growth):
+    def of_all(self, step):
+        """Return the displacements (N, d) of all balls from those of the free ones."""
+        displacement = np.zeros((len(self.number), self.size))
+        displacement[self.free] = step.reshape(-1, self.size)
+        return displacement
+
+    def forces(self, state):
         """Return -dH/du of the free balls, shape (free, d), and -dH/deps."""
         repulsion = state.force[:, None] * state.normal
         forces = total_forces(self.contacts.pairs, repulsion, len(self.number))
         swelling = 0.0
         if self.pressure is not None:
-            volume = self.volume * math.exp(self.size * growth)
-            swelling = state.force @ state.distance - self.size * self.pressure * volume
-        return (forces + self.balls.load)[self.free] * math.exp(growth), swelling
+            swelling = state.force @ state.distance - self.size * self.pressure * self._volume(
+                state
+            )
+        return (forces + self.balls.load)[self.free] * math.exp(state.growth), swelling
 
-    def residual(self, state, forces, swelling, growth):
+    def _volume(self, state):
+        """Return V, whose derivative by eps is d V."""
+        return self.volume * math.exp(self.size * state.growth)
+
+    def residual(self, state, forces, swelling):
         """Return the larger of the force on a ball and the part by which the pressure is wrong."""
         mean = state.force[state.force > 0].mean()
         largest = np.linalg.norm(forces, axis=1).max(initial=0.0) / mean
         if self.pressure is None:
             return largest
-        volume = self.volume * math.exp(self.size * growth)
-        return max(largest, abs(swelling) / (self.size * self.pressure * volume))
+        return max(largest, abs(swelling) / (self.size * self.pressure * self._volume(state)))
 
-    def enthalpy_change(self, before, after, step, growths):
+    def enthalpy_change(self, before, after, step):
         """Return H after a step less H before it, summed contact by contact."""
         energy = after.work - before.work
         change = energy.sum() / (self.balls.law.power + 1) - np.sum(self.balls.load * step)
         if self.pressure is not None:
-            old, new = (self.size * growth for growth in growths)
+            old, new = self.size * before.growth, self.size * after.growth
             change += self.pressure * self.volume * math.exp(old) * math.expm1(new - old)
         return change
 
-    def matrix(self, state, growth):
+    def matrix(self, state):
         """Return d2H/du2 of the free balls, and with a pressure d2H/du deps and d2H/deps2."""
         from scipy.sparse import bsr_matrix  # here: SciPy takes its time
 
@@ -270,11 +234,11 @@ class Motion:
         blocks = bsr_matrix((blocks, np.arange(len(n)), np.arange(len(n) + 1)))
         ends = self.number[self.contacts.pairs[touching]]
         parted = differences(ends, self.size, len(self.free))
-        K = (parted.T @ blocks @ parted).tocsc() * math.exp(2 * growth)
+        K = (parted.T @ blocks @ parted).tocsc() * math.exp(2 * state.growth)
         if self.pressure is None:
             return K, None, None
         along = (stiffness * r - F)[:, None] * n
         border = total_forces(self.contacts.pairs[touching], along, len(self.number))
-        volume = self.volume * math.exp(self.size * growth)
-        corner = np.sum((stiffness * r - F) * r) + self.size**2 * self.pressure * volume
-        return K, border[self.free].ravel() * math.exp(growth), corner
+        corner = np.sum((stiffness * r - F) * r)
+        corner += self.size**2 * self.pressure * self._volume(state)
+        return K, border[self.free].ravel() * math.exp(state.growth), corner

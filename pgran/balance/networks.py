@@ -3,6 +3,7 @@
 import dataclasses
 import logging
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,10 +18,71 @@ from pgran.medium.rounding import EPSILON
 from pgran.medium.springs import AT_REST, FREE
 from pgran.run.numbers import numbers
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
 log = logging.getLogger("pgran")
 ASTRAY = 1e-3  # of a contact's length: what printed digits may leave of it
 GROWTH = 0.5  # of the mean overlap: how much a ball grows before all find their rest anew
 ON_THE_WAY = 1e-6  # of the mean force: how well they find it before the last step
+
+
+@called_right
+def equilibrate(network: Network, radius: "ArrayLike | None" = None) -> Network:
+    """Return the network at rest under its contact law, with other radii if they are given.
+
+    Free balls move until the forces on each cancel, sum F n + load = 0 with F = c h^alpha, to 1e-12
+    of the mean contact force; contacts open and close. Held balls stay; those that bear less than
+    1e-11 are rattlers, which lose their contacts and are held at rest. Not parallel: each rank that
+    calls it computes the same.
+
+    Parameters
+    ----------
+    network : pgran.Network
+        With `power`, `force`, `radius` and `position`.
+    radius : array_like of float, shape (N,), optional
+        New radii of the balls.
+
+    Returns
+    -------
+    pgran.Network
+        With its new contacts, normals, distances, forces and stiffnesses.
+
+    Raises
+    ------
+    InputError
+        If the network does not know its law, or bears no force.
+    PgranError
+        If the balls find no rest.
+
+    Examples
+    --------
+    >>> packing = pgran.pack(40, pressure=1e-2, seed=2)
+    >>> larger = pgran.equilibrate(packing, 1.001 * packing.radius)
+    >>> bool(larger.force.mean() > packing.force.mean())
+    True
+    """
+    balls, contacts = balls_of(network)
+    radius = balls.radius if radius is None else numbers("equilibrate: radius", radius)
+    fits = radius.shape == balls.radius.shape and np.all((radius > 0) & np.isfinite(radius))
+    if not fits:
+        raise InputError(f"equilibrate: radius: {len(balls.radius)} positive numbers are needed")
+    rest = grown(balls, contacts, radius)
+    result = network_of(rest, network)
+    opened, closed = changed_contacts(network, result)
+    overlap = result.overlap.mean()
+    moved = np.linalg.norm(rest.balls.position - balls.position, axis=1).max()
+    log.info(
+        "in balance to %.1e of the mean force (positions alone would hold it to %.1e); contacts: "
+        "%d opened, %d closed; moved by %.2g of the mean overlap at most; rattlers: %d more",
+        rest.residual, floor(result), opened, closed, moved / overlap,
+        np.count_nonzero(result.held != network.held),
+    )  # fmt: skip
+    if rest.undecided:
+        log.warning("of %d contacts or balls rounding decides if they bear forces", rest.undecided)
+    if rest.saddle:
+        log.warning("the packing rests on a saddle of its energy: a small push would rearrange it")
+    return result
 
 
 def law_of(network):
@@ -55,9 +117,8 @@ def balls_of(network):
     constants, overlap = law.constants(first, second), network.overlap
     pressed = overlap > 0
     constants[pressed] = network.force[pressed] / overlap[pressed] ** law.power
-    box = np.full(network.position.shape[1], np.inf)
-    if network.box is not None:
-        box[network.box > 0] = network.box[network.box > 0]
+    box = np.zeros(network.position.shape[1]) if network.box is None else network.box
+    box = np.where(box > 0, box, np.inf)
     away = network.normal * network.distance[:, None]
     first, second = network.position[network.bond.T]
     images, _ = nearest_images(second - first, box)
@@ -141,56 +202,3 @@ def by_positions(network):
     _, place = np.unique(np.concatenate(numbers), return_inverse=True)
     difference = np.bincount(place, np.concatenate([forces[0], -forces[1]]))
     return float(np.abs(difference).max() / network.force.mean())
-
-
-@called_right
-def equilibrate(network, radius=None):
-    """Return the network at rest under its contact law, with other radii if they are given.
-
-    Free balls move until the forces on each cancel to 1e-12 of the mean contact force; contacts
-    open and close. Held balls stay; those that bear less than 1e-11 are rattlers, which lose their
-    contacts and are held at rest. Not parallel: each rank that calls it computes the same.
-
-    Parameters
-    ----------
-    network : pgran.Network
-        With `power`, `force`, `radius` and `position`.
-    radius : array_like of float, shape (N,), optional
-        New radii of the balls.
-
-    Returns
-    -------
-    pgran.Network
-        With its new contacts, normals, distances, forces and stiffnesses.
-
-    Raises
-    ------
-    InputError
-        If the network does not know its law, or bears no force.
-    PgranError
-        If the balls find no rest.
-    """
-    balls, contacts = balls_of(network)
-    radius = balls.radius if radius is None else numbers("equilibrate: radius", radius)
-    if (
-        radius.shape != balls.radius.shape
-        or not np.all(radius > 0)
-        or not np.isfinite(radius).all()
-    ):
-        raise InputError(f"equilibrate: radius: {len(balls.radius)} positive numbers are needed")
-    rest = grown(balls, contacts, radius)
-    result = network_of(rest, network)
-    opened, closed = changed_contacts(network, result)
-    overlap = result.overlap.mean()
-    moved = np.linalg.norm(rest.balls.position - balls.position, axis=1).max()
-    log.info(
-        "in balance to %.1e of the mean force (positions alone would hold it to %.1e); contacts: "
-        "%d opened, %d closed; moved by %.2g of the mean overlap at most; rattlers: %d more",
-        rest.residual, floor(result), opened, closed, moved / overlap,
-        np.count_nonzero(result.held != network.held),
-    )  # fmt: skip
-    if rest.undecided:
-        log.warning("of %d contacts or balls rounding decides if they bear forces", rest.undecided)
-    if rest.saddle:
-        log.warning("the packing rests on a saddle of its energy: a small push would rearrange it")
-    return result

@@ -14,7 +14,7 @@ ROUNDS = 20  # to find the spacing
 
 
 @called_right
-def ordered(packing, seed=1993):
+def ordered(packing: Network, seed: int = 1993) -> Network:
     """Return a packing's ordered counterpart: random forces, without random places.
 
     As in the paper the balls sit on a square lattice, of spheres a simple cubic one, where 4 or 6
@@ -41,6 +41,13 @@ def ordered(packing, seed=1993):
     ------
     InputError
         If the packing is another one, or too small.
+
+    Examples
+    --------
+    >>> packing = pgran.pack(120, pressure=1e-2, walls="x", seed=2)
+    >>> lattice = pgran.ordered(packing, seed=1)
+    >>> lattice.displacement, bool(lattice.bonds > 150)
+    ('scalar', True)
     """
     rng = np.random.default_rng(whole_number("ordered: seed", seed))
     periodic, sides = _sides(packing)

@@ -5,6 +5,7 @@ Hertzian one c = sqrt(R_i R_j / (R_i + R_j)); a ball of the mean diameter has th
 """
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,45 +19,35 @@ from pgran.medium.packing import POWERS
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
 from pgran.run.numbers import number, numbers
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pgran.medium.network import Network
+
 SIDES = 1.4  # of the larger over the smaller diameter of bidisperse balls
-
-
-def diameters(balls, sizes, rng):
-    """Return diameters (N,) of mean 1: `bidisperse`, `equal`, a spread such as .1, or a list."""
-    if isinstance(sizes, str):
-        choice("pack: sizes", sizes, ("bidisperse", "equal"))
-        large = np.arange(balls) >= balls // 2
-        values = np.where(large & (sizes == "bidisperse"), SIDES, 1.0)
-    elif np.ndim(sizes) == 0:
-        if not 0 <= sizes < 1:
-            raise InputError(f"pack: sizes: a spread is 0 or more and less than 1, not {sizes}")
-        values = 1 + float(sizes) * rng.uniform(-1, 1, balls)
-    else:
-        values = np.asarray(sizes, dtype=float)
-        if values.shape != (balls,) or not np.all((values > 0) & np.isfinite(values)):
-            raise InputError(f"pack: sizes: {balls} positive diameters are needed, one a ball")
-    return values / values.mean()
 
 
 @called_right
 def pack(
-    balls,
-    dimension=2,
-    law="harmonic",
+    balls: int,
+    dimension: int = 2,
+    law: str | float = "harmonic",
     *,
-    pressure=None,
-    gravity=None,
-    seed=1993,
-    sizes="bidisperse",
-    shape=None,
-    walls=None,
-    rest=None,
-    drive=None,
-):
+    pressure: float | None = None,
+    gravity: float | None = None,
+    seed: int = 1993,
+    sizes: "str | float | ArrayLike" = "bidisperse",
+    shape: "ArrayLike | None" = None,
+    walls: str | None = None,
+    rest: str | None = None,
+    drive: str | None = None,
+) -> "Network":
     """Return a packing in mechanical equilibrium, without friction.
 
     Lengths are in mean diameters, masses in that of a ball of this diameter, and forces in the
     contact law's constant: F = h is harmonic, F = sqrt(R_i R_j / (R_i + R_j)) h^(3/2) is Hertz.
+    Where the enthalpy sum F h / (alpha + 1) - load . u + P V is least, forces balance (C. S.
+    O'Hern et al., Phys. Rev. E 68, 011306 (2003)).
 
     Parameters
     ----------
@@ -95,10 +86,14 @@ def pack(
         If the arguments contradict each other.
     PgranError
         If no rest is found.
+
+    Examples
+    --------
+    >>> packing = pgran.pack(40, pressure=1e-2, seed=2)
+    >>> packing.axes, bool(packing.force.min() > 0)
+    (2, True)
     """
-    chosen = {"pressure": pressure, "gravity": gravity, "seed": seed, "sizes": sizes}
-    chosen |= {"shape": shape, "walls": walls, "rest": rest, "drive": drive}
-    return packed_network(balls, dimension, law, **chosen)[0]
+    return packed_network(**locals())[0]
 
 
 def packed_network(
@@ -110,9 +105,9 @@ def packed_network(
     dimension = whole_number("pack: dimension", dimension)
     if dimension not in DENSITY:
         raise InputError(f"pack: dimension: discs have 2 and spheres 3, not {dimension}")
-    if balls < 1 or seed < 0:
-        name, value = ("balls", balls) if balls < 1 else ("seed", seed)
-        raise InputError(f"pack: {name}: must be {'1' if balls < 1 else '0'} or more, not {value}")
+    for name, value, least in (("balls", balls, 1), ("seed", seed, 0)):
+        if value < least:
+            raise InputError(f"pack: {name}: must be {least} or more, not {value}")
     if (pressure is None) == (gravity is None):
         raise InputError("pack: give either a pressure or gravity")
     name, push = ("pressure", pressure) if gravity is None else ("gravity", gravity)
@@ -139,6 +134,23 @@ def packed_network(
     else:
         packed = under_gravity(diameter, dimension, rule, push, rng)
     return _network(packed, axes, walls, gravity, rest, drive), packed
+
+
+def diameters(balls, sizes, rng):
+    """Return diameters (N,) of mean 1: `bidisperse`, `equal`, a spread such as .1, or a list."""
+    if isinstance(sizes, str):
+        choice("pack: sizes", sizes, ("bidisperse", "equal"))
+        large = np.arange(balls) >= balls // 2
+        values = np.where(large & (sizes == "bidisperse"), SIDES, 1.0)
+    elif np.ndim(sizes) == 0:
+        if not 0 <= sizes < 1:
+            raise InputError(f"pack: sizes: a spread is 0 or more and less than 1, not {sizes}")
+        values = 1 + float(sizes) * rng.uniform(-1, 1, balls)
+    else:
+        values = np.asarray(sizes, dtype=float)
+        if values.shape != (balls,) or not np.all((values > 0) & np.isfinite(values)):
+            raise InputError(f"pack: sizes: {balls} positive diameters are needed, one a ball")
+    return values / values.mean()
 
 
 def _network(packed, axes, walls, gravity, rest, drive):
