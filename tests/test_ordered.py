@@ -12,6 +12,7 @@ import pgran
 from pgran.command.imports import middle
 from pgran.errors import InputError
 from pgran.medium.crystals import square
+from pgran.medium.graph import part
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
 
@@ -39,18 +40,14 @@ def test_it_shares_all_but_the_places(axes, isostatic):
     # nearest neighbours all touch; what is beyond are diagonals, and few
     side = lattice.distance.min()
     assert {*np.round(lattice.distance / side, 6)} == {1.0, round(np.sqrt(2), 6)}
-    near = dataclasses.replace(lattice, **{
-        name: getattr(lattice, name)[lattice.distance < 1.2 * side]
-        for name in ("bond", "stiffness", "normal", "distance")
-    })  # fmt: skip
+    near = part(lattice, contacts=np.flatnonzero(lattice.distance < 1.2 * side))
     assert np.all(contacts_of(near) == isostatic)
     assert contacts_of(lattice).var() < 0.6 * contacts_of(packing).var()
-    apart = [
-        network.position[network.held == 2, 0].mean()
-        - network.position[network.held == 1, 0].mean()
+    ends = [
+        [network.position[network.held == kind, 0].mean() for kind in (1, 2)]
         for network in (lattice, packing)
     ]
-    assert apart[0] == pytest.approx(apart[1], abs=0.6 * side)
+    assert np.diff(ends)[0] == pytest.approx(np.diff(ends)[1], abs=0.6 * side)
     assert lattice.box == pytest.approx(packing.box, abs=0.6 * side)
     assert pgran.ordered(packing, 4) != lattice == pgran.ordered(packing, 1993)
     noise = 1e-14 * np.random.default_rng(1).standard_normal((8, *lattice.position.shape))
@@ -77,11 +74,8 @@ def test_what_has_no_counterpart():
         "under a pressure": pgran.pack(60, gravity=1e-4, seed=1),
         "ends of one axis": dataclasses.replace(packing, held=np.minimum(packing.held, 1)),
         "not beyond": dataclasses.replace(packing, held=turned),
-        "more than a lattice": dataclasses.replace(packing, **{
-            name: np.concatenate(3 * [getattr(packing, name)])
-            for name in ("bond", "stiffness", "normal", "distance", "force")
-        }),
-    }.items():  # fmt: skip
+        "more than a lattice": part(packing, contacts=3 * [*range(packing.bonds)]),
+    }.items():
         with pytest.raises(InputError, match=message):
             pgran.ordered(refused)
 

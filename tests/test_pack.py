@@ -10,7 +10,7 @@ from pgran.balance.pack import diameters, packed_network
 from pgran.errors import InputError
 
 
-@pytest.mark.parametrize("law", ["harmonic", "hertz"])
+@pytest.mark.parametrize("law", ["hertz"])
 def test_contacts_beyond_isostatic_grow_like_the_root_of_the_overlap(law):
     """O'Hern, Silbert, Liu, Nagel, Phys. Rev. E 68, 011306 (2003)."""
     overlap, excess = [], []
@@ -22,28 +22,21 @@ def test_contacts_beyond_isostatic_grow_like_the_root_of_the_overlap(law):
     assert 0.4 < exponent < 0.65
 
 
-def test_the_same_seed_is_the_same_packing():
-    one, same, other = (pgran.pack(30, pressure=1e-2, seed=n) for n in (4, 4, 5))
-    assert one == same != other
-
-
 def test_sizes():
     rng = np.random.default_rng(1)
     two = diameters(10, "bidisperse", rng)
-    assert np.unique(two).size == 2
-    assert two.max() / two.min() == pytest.approx(1.4)
+    assert [*np.unique(two) / two.min()] == pytest.approx([1, 1.4])
     assert np.ptp(diameters(10, "equal", rng)) == 0
     spread = diameters(1000, 0.1, rng)
     assert 0.19 < np.ptp(spread) < 0.201
-    given = diameters(3, [1.0, 2.0, 3.0], rng)
-    assert given.tolist() == [0.5, 1.0, 1.5]
-    for values in (two, spread, given):
-        assert values.mean() == pytest.approx(1)
+    assert [two.mean(), spread.mean()] == pytest.approx([1, 1])
+    assert diameters(3, [1.0, 2.0, 3.0], rng).tolist() == [0.5, 1.0, 1.5]
 
 
 def test_a_packing_floats_with_the_modes_of_a_rigid_body():
-    """Translations along each axis cost nothing, all else does."""
-    network = pgran.pack(100, pressure=1e-2, seed=2)
+    """Translations along each axis cost nothing, all else does; the seed alone says which it is."""
+    network = pgran.pack(60, pressure=1e-2, seed=2)
+    assert network == pgran.pack(60, pressure=1e-2, seed=2) != pgran.pack(60, pressure=1e-2, seed=3)
     assert not network.held.any()
     omega = pgran.find_modes(network).omega / network.omega_mx
     assert np.sum(np.abs(omega) < 1e-6) == 2
@@ -91,7 +84,7 @@ def test_a_part_of_a_wall_drives():
     assert response.error_bound[0, 0] <= 1e-4 * abs(response.displacement[0, 0])
 
 
-@pytest.mark.parametrize("law", ["harmonic", "hertz", 2.0])
+@pytest.mark.parametrize("law", ["harmonic", 2.0])
 def test_strong_gravity_squeezes_no_ball_through_the_floor(law):
     """Softer balls settle under less of it first."""
     network, packed = packed_network(60, law=law, gravity=2e-3, seed=2)
@@ -101,11 +94,20 @@ def test_strong_gravity_squeezes_no_ball_through_the_floor(law):
     assert packed.descents < 9000
 
 
-def test_balls_that_fall_through_the_floor_are_an_error(monkeypatch):
+def test_balls_that_find_no_rest_are_an_error(monkeypatch):
+    """They fall through the floor, or Newton's method fails after all descents."""
     fire = settle.fire
     monkeypatch.setattr(settle, "fire", lambda *words, **by: fire(*words, **by | {"steps": 900}))
     with pytest.raises(NotBalancedError, match=r"\d+ balls have fallen through the floor: gravity"):
         pgran.pack(60, law="hertz", gravity=0.2, seed=2)
+
+    def fails(*words):
+        raise NotBalancedError("no")
+
+    monkeypatch.setattr(settle, "at_rest", fails)
+    monkeypatch.setattr(settle, "RETURNS", 2)
+    with pytest.raises(NotBalancedError, match="try another seed"):
+        pgran.pack(30, pressure=1e-2)
 
 
 def test_bad_packings_are_refused():
@@ -139,16 +141,6 @@ def test_bad_packings_are_refused():
             assert "\n" not in str(caught.value)
 
 
-def test_a_descent_that_fails_is_said(monkeypatch):
-    def fails(*words):
-        raise NotBalancedError("no")
-
-    monkeypatch.setattr(settle, "at_rest", fails)
-    monkeypatch.setattr(settle, "RETURNS", 2)
-    with pytest.raises(NotBalancedError, match="try another seed"):
-        pgran.pack(30, pressure=1e-2)
-
-
 def test_the_command_makes_what_a_run_takes(call, place, shared_path):
     """Its file, its words, and the ways to go wrong."""
     words = ["pack", "--balls", "60", "--pressure", "1e-2", "--walls", "x", "--shape", "2,1"]
@@ -168,11 +160,3 @@ def test_the_command_makes_what_a_run_takes(call, place, shared_path):
     assert "exists already" in call(*words).stderr
     assert call(*words, "--overwrite").returncode == 0
     assert "no positive number" in call("pack", "--balls", "9", "--pressure", "x", "-o", "b").stderr
-
-
-def test_another_power():
-    """Between the two laws that have names, and a packing that is compressed further."""
-    network = pgran.pack(80, law=1.25, pressure=1e-3, seed=3)
-    assert network.power == 1.25
-    larger = pgran.equilibrate(network, network.radius * 1.0001)
-    assert larger.force.mean() > network.force.mean()

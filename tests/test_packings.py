@@ -43,32 +43,30 @@ class Dumps:
         away -= self.size * np.round(away / self.size)
         self.normal = away / np.linalg.norm(away, axis=1)[:, None]
         self.overlap = np.maximum(self.radius[self.bond].sum(axis=1) - self.distance, 0)
+        one, other = self.radius[self.bond].T
+        self.power = {"discs": 1.0, "spheres": 1.5}[name]
+        self.law = (one * other / (one + other)) ** (self.power - 1)
 
 
-def test_the_discs_bear_the_pressure():
-    """F = h; by the virial, the pressure is sum F d / (2 A)."""
-    discs = Dumps("discs")
-    limit = 1e-10 * discs.force.mean()
-    assert np.allclose(discs.force, discs.overlap, rtol=0, atol=limit)
-    assert np.abs(pushes(discs)).max() < limit
-    virial = discs.force @ discs.distance / (2 * discs.size.prod())
-    assert virial == pytest.approx(0.02, rel=1e-9)
+@pytest.mark.parametrize("name", AXES)
+def test_the_balls_bear_their_load(name):
+    """Of discs F = h, and by the virial the pressure is sum F d / (2 A).
+
+    Of spheres F = sqrt(R1 R2 / (R1 + R2)) h^(3/2); the walls bear opposite forces, .001 a sphere.
+    """
+    balls = Dumps(name)
+    limit, total = 1e-10 * balls.force.mean(), pushes(balls)
+    assert np.allclose(balls.force, balls.law * balls.overlap**balls.power, rtol=0, atol=limit)
+    assert np.abs(total[balls.type < 3]).max() < limit
+    if name == "discs":
+        virial = balls.force @ balls.distance / (2 * balls.size.prod())
+        assert virial == pytest.approx(0.02, rel=1e-9)
+    else:
+        walls = [total[balls.type == wall, 0].sum() for wall in (3, 4)]
+        assert walls == pytest.approx([-0.036, 0.036], rel=1e-9)
 
 
-def test_the_spheres_bear_the_piston():
-    """F = sqrt(R1 R2 / (R1 + R2)) h^(3/2); the walls bear opposite forces, .001 a sphere of 36."""
-    spheres = Dumps("spheres")
-    one, other = spheres.radius[spheres.bond].T
-    hertz = np.sqrt(one * other / (one + other)) * spheres.overlap**1.5
-    limit = 1e-10 * spheres.force.max()
-    assert np.allclose(spheres.force, hertz, rtol=0, atol=limit)
-    total = pushes(spheres)
-    assert np.abs(total[spheres.type < 3]).max() < limit
-    for wall, force in ((3, -0.036), (4, 0.036)):
-        assert total[spheres.type == wall].sum(axis=0)[0] == pytest.approx(force, rel=1e-9)
-
-
-@pytest.mark.parametrize("name", ["discs", "spheres"])
+@pytest.mark.parametrize("name", AXES)
 def test_the_networks_are_those_of_the_dumps(name, tmp_path):
     dumps = [str(PACKINGS / f"{name}.{part}") for part in ("atoms", "contacts")]
     imports.run([*dumps, "-o", str(tmp_path / "a.h5"), *HELD[name]])
@@ -80,17 +78,14 @@ def test_the_networks_are_those_of_the_dumps(name, tmp_path):
             assert np.array_equal(made["network"].attrs[part], value)
 
 
-@pytest.mark.parametrize("name", ["discs", "spheres"])
+@pytest.mark.parametrize("name", AXES)
 def test_all_modes_of_the_packings(name):
     """Those of K summed contact by contact from the dumps; no mode is missing, which is proven."""
     dumps, network = Dumps(name), read_network(PACKINGS / f"{name}.h5")
     axes, count = AXES[name], len(dumps.radius)
     along = np.einsum("ci,cj->cij", dumps.normal, dumps.normal)
-    if name == "discs":
-        stiffness = np.where(dumps.overlap > 0, 1.0, 0.0)
-    else:
-        one, other = dumps.radius[dumps.bond].T
-        stiffness = 1.5 * np.sqrt(one * other / (one + other) * dumps.overlap)
+    stiffness = dumps.power * dumps.law * dumps.overlap ** (dumps.power - 1)
+    stiffness[dumps.overlap == 0] = 0.0
     shear = (dumps.force / dumps.distance)[:, None, None]
     blocks = stiffness[:, None, None] * along - shear * (np.eye(axes) - along)
     K = np.zeros((count, count, axes, axes))

@@ -1,11 +1,22 @@
-"""Signals in time: orders of integrators, energy, identities, exact chains, motions from files."""
+"""Pulses and their signals: ranks, integrators, energy, exact chains, bounds, fronts and codas."""
 
 import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from samples import Naive, listened, random_lattice, reference_of, uniform_lattice
+from mpi4py import MPI
+from samples import (
+    POINTS,
+    TIME,
+    WIDTH,
+    Naive,
+    assert_same,
+    listened,
+    random_lattice,
+    reference_of,
+    uniform_lattice,
+)
 from scipy.integrate import trapezoid
 from scipy.special import jv
 from synthetic import fair
@@ -14,9 +25,9 @@ import pgran
 from pgran.driven.operators import Operators
 from pgran.errors import InputError
 from pgran.experiments.pulse.integrator import Integrator
-from pgran.experiments.pulse.laplace import Line, limits_of
+from pgran.experiments.pulse.laplace import Line, largest_amplitudes, limits_of
 from pgran.experiments.pulse.scene import predicted_seconds, summary
-from pgran.experiments.pulse.signals import codas, envelopes, front_speed
+from pgran.experiments.pulse.signals import arrivals, codas, envelopes, front_speed
 from pgran.experiments.pulse.wall import Pulse
 from pgran.medium import crystals as makers
 from pgran.medium.lattice import Lattice
@@ -27,24 +38,44 @@ from pgran.store.record import Result
 SHORT = {"shape": "gauss", "width": 4.0, "time": 100.0, "points": 101}
 MOTION = Pulse("gauss", 0.0, 4.0)
 WALL = ("force", "work", "energy", "dissipated")
+BOTH = pytest.mark.parametrize("method", ["laplace", "integrate"])
 
 
 def known_of_wall(lattice, naive):
     """Force and work of the wall, energy, and what damping took, by a naive computation."""
-    energy, bonds = naive.energy(lattice), lattice.stiffness[0][-1]
+    energy, bonds = naive.energy(lattice), lattice.stiffness[0][-1].ravel()
     U, speed = MOTION.moves(naive.times, 2)
-    force = (U[:, None] - naive.u[:, -1]) @ bonds
-    force += lattice.damping * (len(bonds) * speed - naive.v[:, -1].sum(axis=1))
-    return dict(
-        zip(WALL, (force, energy + naive.dissipated, energy, naive.dissipated), strict=True)
-    )
+    u, v = (x[:, -1].reshape(len(U), -1) for x in (naive.u, naive.v))  # next to the wall
+    force = (U[:, None] - u) @ bonds
+    force += lattice.damping * (len(bonds) * speed - v.sum(axis=1))
+    known = force, energy + naive.dissipated, energy, naive.dissipated
+    return dict(zip(WALL, known, strict=True))
+
+
+@BOTH
+def test_ranks_agree(world, method):
+    """On every bit if each has its lattice, within errors if they share it; so do the fields."""
+
+    def error(found):
+        return found.error_estimate.max(axis=0) if method == "integrate" else found.error_bound
+
+    lattice, sites = random_lattice((7, 6), 4), (2, 2, 6, 5)
+    choices = {"method": method, "fields": True, "error_tolerance": 1e-7}
+    alone, together = (listened(lattice, sites, comm, **choices) for comm in (MPI.COMM_SELF, world))
+    assert_same(alone, together)
+    shared = listened(lattice, sites, world, ranks=world.size, **choices)
+    difference = np.abs(shared.displacement - alone.displacement)
+    assert np.all(difference <= error(shared) + error(alone))
+    exact = listened(lattice, sites, world, fields=True, error_tolerance=1e-7)
+    assert np.all(alone.field_time >= exact.field_time * (1 - 1e-9))
+    for found in (alone, shared):
+        assert found.field[-1] == pytest.approx(exact.field[-1], abs=1e-6)
 
 
 @pytest.mark.parametrize(
     ("options", "step", "order"),
     [
         ("-pulse_ts_rk_type 3", 0.4, 3),
-        ("-pulse_ts_rk_type 5dp", 0.8, 5),
         ("-pulse_ts_rk_type 7vr", 1.6, 7),
         ("-pulse_ts_type alpha2", 0.4, 2),
     ],
@@ -54,8 +85,7 @@ def test_orders_of_integrators(alone, solver_options, options, step, order):
     lattice, errors = random_lattice((4, 3), 5, 0.1), []
     naive = Naive(lattice, MOTION, -20 + 1.6 * np.arange(37))
     known = known_of_wall(lattice, naive)
-    columns = naive.u[:, 2, 1], naive.v[:, 2, 1], known["force"], known["energy"]
-    expected = np.stack(columns, axis=1)
+    expected = np.stack([naive.u[:, 2, 1], naive.v[:, 2, 1], known["force"], known["energy"]], 1)
     solver_options(f"{options} -pulse_ts_adapt_type none")
     for h in (step, step / 2, step / 4):
         solver_options(f"-pulse_ts_dt {h}")
@@ -67,36 +97,31 @@ def test_orders_of_integrators(alone, solver_options, options, step, order):
         steps = np.arange(37) * round(1.6 / h)
         assert np.abs(found.time[steps] - naive.times).max() < 1e-9
         seen = [found.functions[name][0] for name in ("displacement", "velocity", *WALL[::2])]
-        wrong = np.column_stack(seen)[steps] - expected
-        errors.append(np.sqrt(np.mean(wrong**2, axis=0)))
-    seen = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert np.all(seen[-1] > order - 0.6)
+        errors.append(np.sqrt(np.mean((np.column_stack(seen)[steps] - expected) ** 2, axis=0)))
+    assert np.all(np.log2(errors[1] / errors[2]) > order - 0.6)
     states = np.linalg.norm(np.array(errors)[:, :2], axis=1)
     assert np.log2(states[:-1] / states[1:]) == pytest.approx(order, abs=0.3)
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.003, 0.5])
-@pytest.mark.parametrize("size", [(12,), (5, 4), (3, 2, 3)])
+@pytest.mark.parametrize(("size", "damping"), [((12,), 0.0), ((5, 4), 0.003), ((3, 2, 3), 0.5)])
 def test_work_is_energy_and_what_damping_takes(alone, size, damping):
     """By independent quadratures, and all three as a naive computation has them."""
-    lattice = random_lattice(size, 7, damping)
-    site = [0] * len(size)
+    lattice, site = random_lattice(size, 7, damping), [0] * len(size)
     found = listened(lattice, site, alone, **SHORT, error_tolerance=1e-6)
     work = found.work.max()
     assert np.abs(found.work - found.energy - found.dissipated).max() < 1e-8 * work
     assert np.all(np.diff(found.dissipated) >= -1e-9 * work)
-    naive = Naive(lattice, MOTION, found.time)
-    assert np.abs(found.energy - naive.energy(lattice)).max() < 1e-7 * work
-    assert np.abs(found.dissipated - naive.dissipated).max() < 1e-7 * work
+    known = known_of_wall(lattice, Naive(lattice, MOTION, found.time))
     stepped = listened(lattice, site, alone, **SHORT, method="integrate", error_tolerance=1e-9)
-    for name in ("work", "energy", "dissipated"):
+    for name in WALL[1:]:
+        assert np.abs(getattr(found, name) - known[name]).max() < 1e-7 * work
         assert np.abs(getattr(stepped, name) - getattr(found, name)).max() < 1e-7 * work
     if damping == 0.0:
         assert np.abs(stepped.dissipated).max() < 1e-8 * work
         assert not np.any(found.dissipated)
 
 
-@pytest.mark.parametrize("method", ["laplace", "integrate"])
+@BOTH
 def test_errors_of_force_and_work_are_no_larger_than_estimated(alone, method):
     """Judged by a naive computation; estimates themselves are small."""
     lattice = random_lattice((5, 4), 7, 0.1)
@@ -114,35 +139,52 @@ def test_work_before_the_first_sample_counts(alone, spacing):
     """A motion from a file that starts and stops with kinks, where balls have moved before."""
     lattice, samples = random_lattice((4, 3), 3, 0.03), np.arange(25)
     wall = np.stack([spacing * samples, 0.01 + np.sin(np.pi * samples / 8)], axis=1)
-    time = {"time": 40 * spacing, "points": 193, "error_tolerance": 1e-6}
-    found = listened(lattice, [1, 1], alone, wall=wall, **time, method="laplace", fields=True)
+    time = {"wall": wall, "time": 40 * spacing, "points": 193, "error_tolerance": 1e-6}
+    found = listened(lattice, [1, 1], alone, **time, fields=True)
     largest = np.abs(found.work).max()
     assert found.energy[0] > 1e-5 * largest
     assert np.abs(found.work - found.energy - found.dissipated).max() < 2e-9 * largest
-    stepped = listened(lattice, [1, 1], alone, wall=wall, **time, method="integrate")
+    stepped = listened(lattice, [1, 1], alone, **time, method="integrate")
     for name in WALL:
         one, other = getattr(found, name), getattr(stepped, name)
         wrong = getattr(found, f"{name}_estimate") + getattr(stepped, f"{name}_estimate")
         assert np.all(np.abs(one - other) <= wrong + 1e-9 * np.abs(one).max())
 
 
+def test_what_bounds_the_motion():
+    """|A| by dense inverses along a line, and the frequencies left out by all of them."""
+    lattice = random_lattice((4, 3), 6, 0.01)
+    limits, sent = limits_of(lattice), Pulse("burst", 0.6, WIDTH)
+    reference = reference_of(lattice)
+    line, size = Line(sent, TIME, POINTS, limits, 1e3), 0.0
+    every = np.arange(math.ceil(sent.highest * line.period / (2 * np.pi)) + 1)
+    for k in every[::7]:
+        s = line.sigma + 2j * np.pi / line.period * k
+        A = np.linalg.solve(*map(np.complex128, reference.system(s / 1j)))
+        assert np.linalg.norm(A) <= largest_amplitudes(limits, np.array([s]))[0]
+        left = k not in line.number
+        size += left * 2 / line.period * np.abs(A).max() * abs(sent.transform(s))
+    assert size * math.exp(line.sigma * TIME) <= 1e-6
+    assert size <= line.left_out
+    assert len(line.s) < 0.7 * len(every)
+
+
 def test_parseval_along_the_line():
     """The sum of |A U|^2, A by dense inverses, against the signal of a naive integrator."""
     lattice = random_lattice((4, 3), 6, 0.01)
-    line = Line(MOTION, 60.0, 121, limits_of(lattice), 1e-8)
-    reference = reference_of(lattice)
+    line, reference = Line(MOTION, 60.0, 121, limits_of(lattice), 1e-8), reference_of(lattice)
     A = np.array([np.linalg.solve(*map(np.complex128, reference.system(s / 1j))) for s in line.s])
     weights = np.where(line.number == 0, 1.0, 2.0) / line.period
     total = weights @ np.abs(A * line.transform[:, None]) ** 2
     naive = Naive(lattice, MOTION, np.linspace(0, line.period, 2001))
-    squares = (np.exp(-line.sigma * naive.times)[:, None] * naive.u.reshape(2001, -1)) ** 2
+    u = naive.u.reshape(2001, -1)
+    squares = (np.exp(-line.sigma * naive.times)[:, None] * u) ** 2
     assert total == pytest.approx(trapezoid(squares, naive.times, axis=0), rel=1e-6)
     again = np.concatenate([*line.at(naive.times, A * line.transform[:, None])])
-    early = naive.times <= 60
-    assert np.abs(again - naive.u.reshape(2001, -1))[early].max() < 1e-7
+    assert np.abs(again - u)[naive.times <= 60].max() < 1e-7
 
 
-@pytest.mark.parametrize("size", [(12,), (5, 4), (3, 2, 3)])
+@pytest.mark.parametrize("size", [(12,), (3, 2, 3)])
 def test_the_force_on_the_other_wall_is_the_same_from_both_sides(alone, size):
     """A lattice and its mirror image, random bonds, damping: within the sum of all bounds."""
     lattice = random_lattice(size, 9, 0.05)
@@ -158,22 +200,7 @@ def test_the_force_on_the_other_wall_is_the_same_from_both_sides(alone, size):
     assert wrong.max() < 1e-4 * np.abs(forces[0]).max()
 
 
-def test_what_a_network_costs_follows_its_graph():
-    """In space a factor fills, which it does not along a chain of as many unknowns."""
-    box = makers.random_geometric(4000, 3, 10.0, displacement="scalar")
-    ball = np.arange(box.size)
-    bond = np.stack([ball[:-1], ball[1:]], axis=1)
-    chain = pgran.Network(bond, np.ones(len(bond)), np.where(ball > 0, 0, 2))
-    asked = {"highest": 3.0, "time": [600.0], "tolerance": 1e-4}
-    seconds = [
-        predicted_seconds(SimpleNamespace(lattice=each, **asked), 100) for each in (box, chain)
-    ]
-    assert seconds[0][0] > 5 * seconds[1][0]
-    ratio = box.graph.nonzeros / chain.graph.nonzeros
-    assert 1 < seconds[0][1] / seconds[1][1] < ratio
-
-
-@pytest.mark.parametrize("method", ["laplace", "integrate"])
+@BOTH
 def test_a_uniform_chain_against_bessel_functions(alone, method):
     """Images on both walls: before a reflection is back they add nothing, later they are exact."""
     balls, omega0, far = 20, 0.5, (1, 5, 15)
@@ -205,6 +232,33 @@ def test_a_uniform_chain_against_bessel_functions(alone, method):
             assert abs(found.velocity[place, d] - v) <= errors[1][place, d] + 1e-12
 
 
+# What is slow, refused, or fails
+
+
+def test_what_a_network_costs_follows_its_graph():
+    """In space a factor fills, which it does not along a chain of as many unknowns."""
+    box = makers.random_geometric(4000, 3, 10.0, displacement="scalar")
+    ball = np.arange(box.size)
+    bond = np.stack([ball[:-1], ball[1:]], axis=1)
+    chain = pgran.Network(bond, np.ones(len(bond)), np.where(ball > 0, 0, 2))
+    asked = {"highest": 3.0, "time": [600.0], "tolerance": 1e-4}
+    seconds = [
+        predicted_seconds(SimpleNamespace(lattice=each, **asked), 100) for each in (box, chain)
+    ]
+    assert seconds[0][0] > 5 * seconds[1][0]
+    assert 1 < seconds[0][1] / seconds[1][1] < box.graph.nonzeros / chain.graph.nonzeros
+
+
+def test_what_cannot_be_solved_is_not_passed(world, solver_options):
+    """Infinite bounds, failures, no arrival."""
+    lattice = random_lattice((5, 4), 2)
+    solver_options("-steady_ksp_type gmres -steady_pc_type none -steady_ksp_max_it 1")
+    found = listened(lattice, (2, 2), world)
+    assert found.failures == 1
+    assert np.all(found.error_bound > 1e-4 * np.abs(found.displacement).max())
+    assert np.isnan(found.arrival[0])
+
+
 def test_an_integration_that_gives_up_is_not_passed(place, call, world):
     """It is said, estimates are infinite, and a run ends as other inaccurate ones do."""
     words = "-scene pulse -lattice_shape 5,4 -detectors 2,2 -pulse_time 250 -pulse_points 101"
@@ -216,8 +270,7 @@ def test_an_integration_that_gives_up_is_not_passed(place, call, world):
         found = listened(random_lattice((5, 4)), (2, 2, 1, 1), world, method="integrate")
     assert found.failures == 2
     assert np.all(np.isinf(found.error_estimate))
-    assert np.all(np.isnan(found.arrival))
-    assert np.all(np.isnan(found.decay))
+    assert np.all(np.isnan([found.arrival, found.decay]))
 
 
 @pytest.mark.parametrize(
@@ -246,7 +299,52 @@ def test_steps_of_a_fixed_length_are_halved_for_the_estimate(alone, solver_optio
     assert found.failures == 0
 
 
-# Codas and envelopes
+def test_a_wall_that_drives_nothing(world):
+    """No spring and no dashpot at the driven wall: nothing moves, and that is proven."""
+    bonds = random_lattice((4, 3), 1).stiffness
+    still = Lattice((np.vstack([bonds[0][:-1], 0 * bonds[0][-1:]]), bonds[1]), damping=0.0)
+    found = listened(still, (2, 2), world)
+    assert not found.displacement.any()
+    assert found.error_bound.max() < 1e-10
+
+
+# Fronts, envelopes and codas
+
+
+def test_arrival_of_a_front():
+    """Of a motion of constant speed from 4 to 6 a thousandth has passed at 4.002."""
+    time = np.linspace(0, 10, 10001)
+    speed = np.where((time >= 4) & (time < 6), -3.0, 0.0)[:, None]
+    assert arrivals(time, speed, 0 * speed) == pytest.approx([4.002], abs=1e-3)
+    for hidden in ((speed, 0 * speed + 0.05), (0 * speed, 0 * speed), (speed, 0 * speed, 4.1)):
+        assert np.isnan(arrivals(time, *hidden))
+
+
+@pytest.mark.parametrize(("shape", "omega", "width"), [("burst", 0.6, 12.0), ("gauss", 0.6, 4.0)])
+def test_no_front_is_before_the_walls_own(shape, omega, width):
+    """Next to the wall, too, where balls move less than the wall and as early."""
+    lattice = pgran.Lattice.random((8, 6))
+    near = [(7, j) for j in range(6)] + [(6, 2), (4, 2), (0, 0)]
+    sent = {"shape": shape, "omega": omega, "width": width, "time": 200.0, "points": 801}
+    found = pgran.pulse(lattice, near, **sent)
+    assert np.all(found.arrival >= found.wall_arrival)
+    ahead = np.argmax(np.abs(found.displacement) > 0.1 * np.abs(found.displacement).max(0), axis=0)
+    wall = np.argmax(np.abs(found.wall) > 0.1 * np.abs(found.wall).max())
+    assert (ahead < wall).any() == (shape == "burst")  # as a part of the largest has it
+
+
+def test_a_front_that_shares_of_energy_cannot_tell_is_none():
+    """The wall's slow motion gets to the balls, its buzz beyond all modes does not."""
+    time = np.linspace(0, 100, 1001)
+    wall = np.exp(-0.5 * ((time - 25) / 6) ** 2)
+    wall += 10 * np.exp(-0.5 * ((time - 75) / 5) ** 2) * np.cos(3.0 * time)
+    sent = {"wall": np.column_stack([time, wall]), "time": 100.0, "points": 501}
+    lattice = pgran.Lattice.random((3, 3))
+    found = pgran.pulse(lattice, [(0, 2)], method="integrate", **sent)
+    assert found.wall_arrival > 50
+    assert np.isnan(found.arrival[0])
+    said = "".join(summary(Result([record_of(lattice), found])))
+    assert "when its front arrives is not certain" in said
 
 
 def test_the_speed_of_fronts():
@@ -280,7 +378,7 @@ def test_the_rate_of_a_noisy_decay_is_within_its_standard_error():
     assert np.all(np.isnan(found))
 
 
-@pytest.mark.parametrize(("size", "mode"), [((1,), (1,)), ((4,), (1,)), ((3, 2), (2, 1))])
+@pytest.mark.parametrize(("size", "mode"), [((1,), (1,)), ((3, 2), (2, 1))])
 def test_a_single_mode_decays_at_its_own_rate(alone, size, mode):
     """Damping is proportional to equal bonds k: each mode decays at beta omega^2 / (2 k)."""
     k, beta = 0.25, 0.002
@@ -294,14 +392,15 @@ def test_a_single_mode_decays_at_its_own_rate(alone, size, mode):
     assert found.decay[0] == pytest.approx(rate, rel=0.02)
 
 
-def test_an_envelope_begins_with_its_signal(alone):
-    """It is no smaller than the displacement, and before a front no larger than errors allow."""
+def test_before_a_front_there_is_nothing(alone):
+    """Nor an envelope, which begins with its signal and is no smaller than the displacement."""
     lattice = uniform_lattice((60,), damping=0.0)
     found = listened(lattice, (40, 10), alone, shape="burst", width=8.0)
     envelope = envelopes(found.displacement, found.velocity)
     assert np.array_equal(envelope, found.envelope)
     assert np.all(envelope >= np.abs(found.displacement))
     early = found.time < 12.0
+    assert np.all(np.abs(found.displacement[early, 1]) <= found.error_bound[early, 1])
     ratio = np.sqrt(np.sum(found.displacement**2, axis=0) / np.sum(found.velocity**2, axis=0))
     allowed = np.hypot(found.error_bound, 1.01 * ratio * found.velocity_bound)
     assert np.all(envelope[early, 1] <= allowed[early, 1])

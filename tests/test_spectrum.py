@@ -34,7 +34,7 @@ def telegraph(corner, trajectories, steps, seed):
     return 1 - 2.0 * (np.cumsum(flips, axis=1) % 2)
 
 
-@pytest.mark.parametrize("psi", [0, 1.5, 4, 5])
+@pytest.mark.parametrize("psi", [0, 1.5, 4])
 def test_exponent_of_power_law_noise(psi):
     result = power_spectrum(power_law_noise(psi, 20, 8000, seed=3))
     assert 0.003 < result.exponent_error < 0.02
@@ -60,27 +60,25 @@ def test_power_is_welchs_averaged_over_trajectories():
     assert result.power.sum() / result.segment == pytest.approx(4, rel=0.02)  # the variance
 
 
-@pytest.mark.parametrize("case", ["white", "unlike walks"])
-def test_error_bar_covers_the_spread_between_seeds(case):
-    """Mean squared deviation from the truth, in units of the error bars: 1 +- .22 for 40."""
-    rng, truth = np.random.default_rng(12), 0
-    if case == "white":
-        noise = power_law_noise(0, 40, 10_000, seed=10)
-    else:
-        # Walks of their own loudness in common noise: each trajectory alone is far more regular
-        # than they are among themselves, and the louder ones count for more.
-        shape = (25, 20, 1000)
-        loudness = np.exp(0.5 * rng.standard_normal((25, 20, 1)))
-        walks = 0.3 * loudness * power_law_noise(2, 500, 1000, seed=13).reshape(shape)
-        noise = walks + rng.standard_normal(shape)
-        truth = np.mean([power_spectrum(series).exponent for series in noise])
-        assert 1 < truth < 1.9
-    results = [power_spectrum(series) for series in noise]
-    deviations = [(result.exponent - truth) / result.exponent_error for result in results]
-    assert 0.4 < np.mean(np.square(deviations)) < 1.9
+def test_error_bar_covers_the_spread_between_seeds():
+    """Mean squared deviation from the truth, in units of the error bars: 1 +- .22 for 40.
+
+    Also of walks of their own loudness in common noise: each trajectory alone is far more regular
+    than they are among themselves, and the louder ones count for more.
+    """
+    rng, shape = np.random.default_rng(12), (25, 20, 1000)
+    loudness = 0.3 * np.exp(0.5 * rng.standard_normal((25, 20, 1)))
+    walks = loudness * power_law_noise(2, 500, 1000, seed=13).reshape(shape)
+    white = power_law_noise(0, 40, 10_000, seed=10)
+    for noise, low, high in ((white, 0, 0), (walks + rng.standard_normal(shape), 1, 1.9)):
+        results = [power_spectrum(series) for series in noise]
+        truth = np.mean([result.exponent for result in results]) if high else 0.0
+        assert low <= truth <= high
+        deviations = [(result.exponent - truth) / result.exponent_error for result in results]
+        assert 0.4 < np.mean(np.square(deviations)) < 1.9
 
 
-@pytest.mark.parametrize(("trajectories", "steps"), [(1, 2000), (2, 1200), (9, 800)])
+@pytest.mark.parametrize(("trajectories", "steps"), [(1, 2000), (9, 800)])
 def test_too_few_steps(trajectories, steps):
     walks = power_law_noise(2, trajectories, steps, seed=15)
     assert np.isfinite(power_spectrum(walks).exponent_error)

@@ -18,7 +18,7 @@ from pgran.medium.lattice import Lattice
 from pgran.medium.network import Network
 
 DIGITS = 60
-LATTICES = [((30,), 0.02), ((9,), 1.0), ((5, 6), 3e-4), ((1, 4), 0.1), ((3, 4, 3), 0.03)]
+LATTICES = [((30,), 0.02), ((5, 6), 3e-4), ((3, 4, 3), 0.03)]
 
 
 def exact(number):
@@ -34,21 +34,6 @@ def exact_force(lattice, omega):
         for axis, index, one, other in bonds(lattice.shape)
         if other is DRIVEN
     )
-
-
-def crystal(displacement, **others):
-    """A crystal of random contacts and masses, driven askew."""
-    rng = np.random.default_rng(8)
-    net = makers.crystal("triangular", (4, 2), displacement=displacement)
-    contacts = len(net.bond)
-    given = {
-        "stiffness": rng.uniform(0.1, 1, contacts),
-        "masses": rng.uniform(0.5, 2, len(net.held)),
-    }
-    if displacement != "scalar":
-        given |= {"tangential": rng.uniform(0.1, 0.5, contacts), "direction": [0.6, 0.8]}
-        given |= {"force": rng.uniform(0, 0.02, contacts)}
-    return dataclasses.replace(net, **given | others)
 
 
 def power_in_dashpots(medium, response):
@@ -72,15 +57,20 @@ def force_errors(medium, response):
 
 
 def sample_of(kind, damping, **others):
-    """A medium and one of its balls."""
+    """A lattice, or a crystal of random contacts and masses that is driven askew; one ball."""
     if kind == "lattice":
         return random_lattice((6, 5), 4, damping), (2, 3)
-    network = crystal(kind, damping=damping, **others)
-    return network, network.free[2]
+    rng, net = np.random.default_rng(8), makers.crystal("triangular", (4, 2), displacement=kind)
+    others |= {"stiffness": rng.uniform(0.1, 1, net.bonds), "damping": damping}
+    others["masses"] = rng.uniform(0.5, 2, len(net.held))
+    if kind != "scalar":
+        others |= {"tangential": rng.uniform(0.1, 0.5, net.bonds), "direction": [0.6, 0.8]}
+        others["force"] = rng.uniform(0, 0.02, net.bonds)
+    return dataclasses.replace(net, **others), net.free[2]
 
 
 @pytest.mark.parametrize("method", ["points", "curve"])
-@pytest.mark.parametrize("kind", [*LATTICES, "scalar", "vector", "rotations"])
+@pytest.mark.parametrize("kind", [*LATTICES, "rotations"])
 def test_forces_are_within_their_bounds(alone, method, kind):
     """Which are small against the force."""
     if kind in LATTICES:
@@ -116,7 +106,7 @@ def test_the_error_is_of_second_order(solver_options):
     assert max(plain) > 1
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_forces_without_damping(comm, seed):
     """Real; where ranks share the lattice no bound is known."""
     lattice, omegas = random_lattice((4, 3), seed, 0.0), np.linspace(0.05, 1.3, 9)
@@ -129,7 +119,7 @@ def test_forces_without_damping(comm, seed):
         assert error <= (1e-8 * size if comm.size > 1 else bound)
 
 
-@pytest.mark.parametrize("medium", ["lattice", "scalar", "vector", "rotations"])
+@pytest.mark.parametrize("medium", ["lattice", "vector", "rotations"])
 def test_power_is_what_dashpots_dissipate(alone, medium):
     """At omega Im F / 2, spring by spring."""
     sample, site = sample_of(medium, 0.1, damped="normal" if medium == "vector" else "all")
