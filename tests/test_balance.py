@@ -256,7 +256,7 @@ def test_what_is_out_of_balance_moves_until_it_balances(spheres):
 
 def test_factors_are_reused(spheres, monkeypatch):
     """They solve with matrices near their own, and give up where those are far or indefinite."""
-    monkeypatch.setattr(equilibrium, "FEWEST", 1)
+    monkeypatch.setattr(equilibrium, "FEWEST_SOLVES", 1)
     balls, contacts = balls_of(spheres)
     start = Motion(balls, contacts)
     K, _, _ = start.matrix(start.state(np.zeros_like(balls.position), 0.0))
@@ -276,7 +276,7 @@ def test_factors_are_reused(spheres, monkeypatch):
     larger = spheres.radius.copy()
     larger[spheres.free[7]] += 0.1 * spheres.overlap.mean()
     few = grown(balls, contacts, larger)
-    monkeypatch.setattr(equilibrium, "FEWEST", np.inf)
+    monkeypatch.setattr(equilibrium, "FEWEST_SOLVES", np.inf)
     each = grown(balls, contacts, larger)
     assert few.factorizations < each.factorizations
     assert np.abs(few.balls.position - each.balls.position).max() < 1e-12

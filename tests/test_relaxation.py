@@ -53,7 +53,7 @@ def follow(lattice, omega, sites, changes, tolerance=1e-4):
     known = [*exact_amplitudes(lattice, omega, sites, places, changes.stiffness, steps)]
     exact = np.array(known, dtype=complex).reshape(after.shape)
     assert np.all(np.abs(after - exact) <= bound)
-    assert np.all(bound <= min(tolerance, windows.LONGEST_REACH) * np.abs(exact))
+    assert np.all(bound <= min(tolerance, windows.LARGEST_BOUND) * np.abs(exact))
     return after, bound, exact
 
 
@@ -73,7 +73,7 @@ def test_a_window_ends_where_its_bound_exceeds_what_is_allowed(tolerance):
 @pytest.mark.parametrize(("spoilt", "size"), [("march", 1e-3), ("invert", 1e-7)])
 def test_the_bound_covers_windows_that_went_wrong(spoilt, size, monkeypatch):
     """Residuals find the errors of block solves and of the algebra, which are in part corrected."""
-    monkeypatch.setattr(windows, "LONGEST_REACH", 10.0)
+    monkeypatch.setattr(windows, "LARGEST_BOUND", 10.0)
     changes = draw_changes(UNIFORM, bond_count((5, 6)), 1, 0, 0, 40)
     window = random_lattice((5, 6), 5, 0.1), 0.6, [2, 2], changes, 10.0
     _, right, _ = follow(*window)

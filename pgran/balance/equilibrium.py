@@ -17,13 +17,13 @@ from pgran.errors import PgranError
 from pgran.medium.graph import SYMMETRIC, loose_balls
 
 BALANCED = 1e-12  # of the mean force: the largest force that is left on a ball
-UNDECIDED = 1e-11  # of the mean force: what bears less may be open, or bear what rounding left
+UNDECIDED_FORCE = 1e-11  # of the mean force: what bears less may be open, or bear rounding
 PATIENCE = 4  # steps in a row that lower neither the energy, beyond its rounding, nor the forces
 STEPS, ROUNDS = 100, 40  # of Newton's method with one list of pairs, and lists
 LEAST_SHIFT = 1e-10  # of the mean diagonal of K: what is less is rounding
-SADDLE = 1e-10  # of the mean diagonal: how negative a pivot is that counts
-SOLVE = 20  # multiplications of a factorization that take as long as an entry of a solve
-FEWEST = 20  # solves that a factorization must cost, or it is not kept
+SADDLE_PIVOT = 1e-10  # of the mean diagonal: how negative a pivot is that counts
+SOLVE_COST = 20  # multiplications of a factorization that take as long as an entry of a solve
+FEWEST_SOLVES = 20  # solves that a factorization must cost, or it is not kept
 INEXACT = 1e-6  # the part of a step that conjugate gradients leave out
 
 
@@ -48,7 +48,7 @@ class Rest(NamedTuple):
     def bearing(self):
         """Which contacts bear a force for certain."""
         force = self.balls.law.force(self.contacts.constants, self.contacts.overlap)
-        return force > UNDECIDED * force[force > 0].mean()
+        return force > UNDECIDED_FORCE * force[force > 0].mean()
 
     @property
     def saddle(self):
@@ -57,7 +57,7 @@ class Rest(NamedTuple):
         K, _, _ = motion.matrix(motion.state(np.zeros(self.balls.position.shape), 0.0))
         factors = factored(K)
         lowest = 0.0 if factors is None else factors.U.diagonal().min()  # singular: some float
-        return bool(lowest < -SADDLE * K.diagonal().mean())
+        return bool(lowest < -SADDLE_PIVOT * K.diagonal().mean())
 
 
 def at_rest(balls, contacts=None, pressure=None, tolerance=BALANCED):
@@ -232,7 +232,7 @@ class Factors:
 
     Where a step opens or closes a few contacts, seven or so solves do. In three dimensions the time
     of a factorization grows like N^2: of 5000 spheres it is that of 50 solves. Where it is that of
-    `FEWEST` or less, factors are not kept.
+    `FEWEST_SOLVES` or less, factors are not kept.
     """
 
     def __init__(self):
@@ -241,8 +241,8 @@ class Factors:
     def keep(self, factors):
         """Keep factors, if they are worth it."""
         lengths = np.diff(factors.L.indptr).astype(float)
-        self.solves = int(lengths @ lengths / (SOLVE * lengths.sum()))
-        self.factors = factors if self.solves >= FEWEST else None
+        self.solves = int(lengths @ lengths / (SOLVE_COST * lengths.sum()))
+        self.factors = factors if self.solves >= FEWEST_SOLVES else None
 
     def solve(self, K, right):
         """Return x of K x = right by conjugate gradients, None where factoring K is cheaper.

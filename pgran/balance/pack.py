@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from pgran.medium.network import Network
 
-SIDES = 1.4  # of the larger over the smaller diameter of bidisperse balls
+SIZE_RATIO = 1.4  # of the larger over the smaller diameter of bidisperse balls
 
 
 @called_right
@@ -141,7 +141,7 @@ def diameters(balls, sizes, rng):
     if isinstance(sizes, str):
         choice("pack: sizes", sizes, ("bidisperse", "equal"))
         large = np.arange(balls) >= balls // 2
-        values = np.where(large & (sizes == "bidisperse"), SIDES, 1.0)
+        values = np.where(large & (sizes == "bidisperse"), SIZE_RATIO, 1.0)
     elif np.ndim(sizes) == 0:
         if not 0 <= sizes < 1:
             raise InputError(f"pack: sizes: a spread is 0 or more and less than 1, not {sizes}")

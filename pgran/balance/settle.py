@@ -17,16 +17,16 @@ from pgran.medium.graph import loose_balls
 from pgran.medium.packing import nearest_images, total_forces
 
 DENSITY = {2: 0.9, 3: 0.7}  # of random positions: the part of the box that balls fill
-FIRST = {1.0: 1e-2}  # the pressure where a descent begins, of laws by their power
-BEGINNING = 1e-3  # of others
-NEAR = 1e-6  # of the mean force: from where Newton's method is quick
+FIRST_PRESSURES = {1.0: 1e-2}  # the pressure where a descent begins, of laws by their power
+FIRST_PRESSURE = 1e-3  # of others
+NEWTON_RESIDUAL = 1e-6  # of the mean force: from where Newton's method is quick
 BALANCED = 1e-13  # of the mean force
-TOUCHING = 1e-13  # mean diameters by which a rattler may overlap: rounding of positions
+RATTLER_OVERLAP = 1e-13  # mean diameters by which a rattler may overlap: rounding of positions
 RETURNS = 20  # to FIRE, where Newton's method finds no rest
-HEAVY = 1e-3  # the gravity under which balls settle first; then it falls by factors of 3 or so
-SQUEEZED = 0.2  # mean diameters by which balls at the floor overlap at most while others settle
-FLOOR = 0.7  # mean diameters between the balls of a floor, which let none through
-ROUGH = 0.2  # mean diameters by which their heights differ
+FIRST_GRAVITY = 1e-3  # under which balls settle first; then it falls by factors of 3 or so
+FLOOR_OVERLAP = 0.2  # mean diameters by which balls at the floor overlap while others settle
+FLOOR_SPACING = 0.7  # mean diameters between the balls of a floor, which let none through
+FLOOR_ROUGHNESS = 0.2  # mean diameters by which their heights differ
 # Of FIRE
 SKIN = 0.3  # mean diameters between balls that are listed as neighbours
 RENEWED = 20  # steps after which the time step follows the contacts
@@ -66,12 +66,12 @@ def under_pressure(diameter, dimension, law, pressure, rng, shape=None):
     position = rng.random((len(diameter), dimension)) * box
     free = np.zeros(len(diameter), dtype=bool)
     balls, descents = fire(Balls(position, diameter / 2, free, box, law), None, 1e-2, steps=3000)
-    stage = max(pressure, FIRST.get(law.power, BEGINNING))
+    stage = max(pressure, FIRST_PRESSURES.get(law.power, FIRST_PRESSURE))
     while stage > pressure:
         balls, steps = fire(balls, stage, 1e-3, pressed=0.1)
         descents += steps
         stage = max(pressure, stage / 10)
-    balls, steps = fire(balls, pressure, NEAR)
+    balls, steps = fire(balls, pressure, NEWTON_RESIDUAL)
     return settled(balls, pressure, dimension + 1, descents + steps)
 
 
@@ -82,11 +82,11 @@ def under_gravity(diameter, dimension, law, gravity, rng):
     """
     volume = _first_volume(diameter, dimension)
     width = volume ** (1 / dimension)
-    across = max(round(width / FLOOR), 1)
+    across = max(round(width / FLOOR_SPACING), 1)
     spots = np.stack(np.meshgrid(*[np.arange(across) * width / across] * (dimension - 1)), axis=-1)
     floor = np.zeros((across ** (dimension - 1), dimension))
     floor[:, :-1] = spots.reshape(len(floor), -1)
-    floor[:, -1] = -ROUGH * rng.random(len(floor))
+    floor[:, -1] = -FLOOR_ROUGHNESS * rng.random(len(floor))
     position = rng.random((len(diameter), dimension)) * width
     position[:, -1] *= volume / width**dimension
     position[:, -1] += diameter.max()
@@ -98,12 +98,12 @@ def under_gravity(diameter, dimension, law, gravity, rng):
     balls = Balls(np.concatenate([position, floor]), diameter / 2, held, box, law)
     descents = 0
     layers = np.sum(diameter**dimension) / width ** (dimension - 1)
-    strongest = law.force(law.constants(0.5, 0.5), SQUEEZED) / layers
-    stages = max(math.ceil(2 * math.log10(HEAVY / gravity)), 3)
+    strongest = law.force(law.constants(0.5, 0.5), FLOOR_OVERLAP) / layers
+    stages = max(math.ceil(2 * math.log10(FIRST_GRAVITY / gravity)), 3)
     stages = min(stages, max(math.floor(2 * math.log10(strongest / gravity)), 0))
     for stage in range(stages, -1, -1):
         balls = dataclasses.replace(balls, load=10 ** (stage / 2) * down)
-        balls, steps = fire(balls, tolerance=1e-2 if stage else NEAR, steps=20000)
+        balls, steps = fire(balls, tolerance=1e-2 if stage else NEWTON_RESIDUAL, steps=20000)
         descents += steps
     fallen = np.count_nonzero(balls.position[~held, -1] < -1)
     if fallen:
@@ -133,7 +133,7 @@ def settled(balls, pressure, least, descents):
             balls, squeezed = _rattlers_placed(balls, rest.balls, carrying)
             if not squeezed:
                 return Packed(rest, np.count_nonzero(~carrying), descents)
-        balls, steps = fire(balls, pressure, NEAR / 10)
+        balls, steps = fire(balls, pressure, NEWTON_RESIDUAL / 10)
         descents += steps
     raise NotBalancedError(f"no balanced packing after {RETURNS} descents: try another seed")
 
@@ -167,7 +167,7 @@ def _rattlers_placed(balls, carriers, carrying):
     if not carrying.all():
         placed, _ = fire(placed, tolerance=0.0, steps=2000)
         deepest = listed(placed, reach=0.0).overlap.max(initial=0.0)
-    return dataclasses.replace(placed, held=balls.held), deepest > TOUCHING
+    return dataclasses.replace(placed, held=balls.held), deepest > RATTLER_OVERLAP
 
 
 def fire(balls, pressure=None, tolerance=1e-6, pressed=1e-2, steps=100_000):

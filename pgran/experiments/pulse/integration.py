@@ -11,8 +11,9 @@ from pgran.experiments.pulse.signals import FIELDS
 from pgran.run.agreement import on_root
 from pgran.run.task import Task, carry_out
 
-COARSE, FINER = 0.3, 0.1  # tolerance of the first integration, and of each against the one before
-LEAST = 1e-13  # tolerance of an integration
+FIRST_TOLERANCE = 0.3  # of the first integration, in units of the one asked for
+REFINEMENT = 0.1  # the tolerance of each integration against the one before
+LEAST_TOLERANCE = 1e-13  # tolerance of an integration
 NODES = 6  # steps of an integrator that a polynomial goes through
 MOTION = ("displacement", "velocity")
 WALL = ("force", "work", "energy", "dissipated")  # of the wall, and what became of it
@@ -24,8 +25,9 @@ def integrate(recording, crew, progress):
     Collective. The error of the last one is estimated, too large by about a power of ten, by its
     difference from the one before.
     """
-    tolerance = COARSE * recording.tolerance
-    tolerances, rows, started = [(0, tolerance), (1, FINER * tolerance)], [], time.perf_counter()
+    tolerance = FIRST_TOLERANCE * recording.tolerance
+    tolerances, rows = [(0, tolerance), (1, REFINEMENT * tolerance)], []
+    started = time.perf_counter()
     while tolerances:
         found = carry_out(Integration(recording, tolerances), crew, progress)
         if crew.world.rank == 0:
@@ -70,10 +72,10 @@ def _next_tolerances(wanted, rows, last):
     if not (coarse["complete"] and fine["complete"]) or not missed.any():
         return []
     # what is left is the error of the last: may it serve as the coarser one of the next pair?
-    missing = np.min(allowed[missed] / (FINER * error[missed]))
-    smaller = tolerance * (FINER if missing > 1 else np.clip(0.5 * missing, 1e-6, FINER))
+    missing = np.min(allowed[missed] / (REFINEMENT * error[missed]))
+    smaller = tolerance * (REFINEMENT if missing > 1 else np.clip(0.5 * missing, 1e-6, REFINEMENT))
     even = 2.0 ** math.floor(math.log2(smaller))  # the last bits of errors change no step
-    return [(number + 1, max(even, LEAST))] if smaller >= LEAST else []
+    return [(number + 1, max(even, LEAST_TOLERANCE))] if smaller >= LEAST_TOLERANCE else []
 
 
 class Integration(Task):

@@ -30,9 +30,9 @@ log = logging.getLogger("pgran")
 
 STEPS_AT_MOST = 10**8
 KINDS = ("rk", "alpha2")
-STEPS = ("ts_adapt_dt_min", "ts_adapt_dt_max")  # keys, in the user's unit of time
-LONGEST = 2.0  # step, in units of one over the highest frequency: in between is interpolated
-SHORTER, HALF = 0.7, 0.5  # longest and fixed steps of each integration against the one before
+STEP_KEYS = ("ts_adapt_dt_min", "ts_adapt_dt_max")  # keys, in the user's unit of time
+LONGEST_STEP = 2.0  # step, in units of one over the highest frequency: in between is interpolated
+LIMIT_RATIO, STEP_RATIO = 0.7, 0.5  # longest and fixed steps against those of the one before
 # What options of a run say, and what leaves alpha2 the velocity that it began with.
 REFUSED = {
     "ts_rtol": "-error_tolerance says how accurate",
@@ -73,7 +73,7 @@ class Integrator(Owner):
     def __init__(self, operators, sites, pulse, highest):
         self.operators, self.comm, self.pulse = operators, operators.comm, pulse
         top = min(highest or pulse.reach, pulse.reach)
-        self._later, self.rate = LONGEST / top, 2.0 ** math.frexp(top)[1]
+        self._later, self.rate = LONGEST_STEP / top, 2.0 ** math.frexp(top)[1]
         self._mass = operators.mass * self.rate**2  # with times in 1 / rate, as the damping
         self._damping = operators.damping * self.rate
         self._longest = min(self._later, BAND / pulse.band)  # a longer step could miss the pulse
@@ -121,7 +121,8 @@ class Integrator(Owner):
         the time 0, unless a time is given.
         """
         self._rows, self._fields, self._keep_at = [], [], list(keep_at)
-        self._shrink, self._limited = SHORTER**number, not self._given.hasName("ts_adapt_dt_max")
+        self._shrink = LIMIT_RATIO**number
+        self._limited = not self._given.hasName("ts_adapt_dt_max")
         begin = min(0.0, self.pulse.begin) if begin is None else begin
         ts, pair = PETSc.TS().create(self.comm), [self._u.duplicate(), self._v.duplicate()]
         state = pair[0] if self._second_order else self._matrix.createVecRight()
@@ -148,7 +149,7 @@ class Integrator(Owner):
             if self._limited:
                 ts.setStepLimits(0.0, self.rate * self._shrink * self._longest)
             if self._given.getString("ts_adapt_type", "") == "none":
-                ts.setTimeStep(HALF**number * ts.getTimeStep())
+                ts.setTimeStep(STEP_RATIO**number * ts.getTimeStep())
             ts.solve(state)
         self._given.getReal("ts_dt", step)  # it was used
         reason, ended = ts.getConvergedReason(), ts.getTime() / self.rate
@@ -167,7 +168,7 @@ class Integrator(Owner):
         keys = {k: v for k, v in (DEFAULTS | solver).items() if not self._given.hasName(k)}
         if self._given.hasName("ts_dt"):
             keys["ts_dt"] = None
-        for key in STEPS:
+        for key in STEP_KEYS:
             if self._given.hasName(key):
                 keys[key] = self.rate * self._given.getReal(key)
         return {f"pulse_{key}": value for key, value in keys.items()}

@@ -23,12 +23,12 @@ from pgran.driven.accurate import Limits
 from pgran.driven.sweep import FrequencySweep
 from pgran.medium.rounding import EPSILON
 
-GROWTH = 16.0  # sigma times the time wanted
-SHORTEST = 1.2  # the period, in units of the time wanted
-LEFT_OUT = 1e-9  # of the tolerance: what frequencies left out may add up to
-LATER = 1e-4  # of the tolerance: what later turns may
-AT_ONCE = 300_000  # numbers of a Fourier transform that are kept at once
-WHOLE = 4e8  # amplitudes of all balls are kept, for energies at all times, if that costs no more
+SIGMA_TIME = 16.0  # sigma times the time wanted
+SHORTEST_PERIOD = 1.2  # the period, in units of the time wanted
+LEFT_OUT_SHARE = 1e-9  # of the tolerance: what frequencies left out may add up to
+LATER_SHARE = 1e-4  # of the tolerance: what later turns may
+NUMBERS_AT_ONCE = 300_000  # numbers of a Fourier transform that are kept at once
+LARGEST_COST = 4e8  # at which amplitudes of all balls are kept, for energies at all times
 
 
 class PulseLine(FrequencySweep):
@@ -44,7 +44,7 @@ class PulseLine(FrequencySweep):
         size = tolerance * recording.scaled.drive_size
         self.line = Line(recording.sent, time[-1], len(time), limits, size, readings)
         cost = len(self.line.s) * math.prod(lattice.shape) * len(recording.fine)
-        self.whole = recording.fields or cost <= WHOLE
+        self.whole = recording.fields or cost <= LARGEST_COST
         row = [
             ("displacement", complex, (len(recording.sites),)),
             ("error_bound", float, (len(recording.sites),)),
@@ -157,14 +157,14 @@ class Line:
     """
 
     def __init__(self, pulse, time, points, limits, tolerance, readings=1.0):
-        self.pulse, self.limits, self.sigma = pulse, limits, GROWTH / time
+        self.pulse, self.limits, self.sigma = pulse, limits, SIGMA_TIME / time
         self.readings = np.asarray(readings)
         tolerance = tolerance / self.readings.max(initial=1.0)
         # P so long that u(t + P) e^(-sigma P) is small, |u(t)| being t |u'| at most,
-        later = 3 * time * float(largest_speed(limits, pulse, 3 * time)) / (LATER * tolerance)
+        later = 3 * time * float(largest_speed(limits, pulse, 3 * time)) / (LATER_SHARE * tolerance)
         # and that the pulse before this one's time 0 is no part of the turn before either
-        earlier = max(SHORTEST, 1.0 - pulse.begin / time)
-        turn = max(earlier, min(3.0, math.log(max(later, 1.0)) / GROWTH))
+        earlier = max(SHORTEST_PERIOD, 1.0 - pulse.begin / time)
+        turn = max(earlier, min(3.0, math.log(max(later, 1.0)) / SIGMA_TIME))
         step = time / (points - 1)
         self.times = math.ceil(turn * time / step)  # in a period
         self.period = self.times * step
@@ -175,14 +175,14 @@ class Line:
         # the smallest terms of the sum over k are left out, as long as they add up to little
         size = 2 / self.period * largest_amplitudes(limits, s) * np.abs(U)
         order = np.argsort(size, kind="stable")
-        small = np.cumsum(size[order]) * math.exp(GROWTH) <= LEFT_OUT * tolerance
+        small = np.cumsum(size[order]) * math.exp(SIGMA_TIME) <= LEFT_OUT_SHARE * tolerance
         small[-1] = False  # something is left even where the wall drives nothing
         out, self.number = order[small], np.sort(order[~small])
         self.s, self.transform = s[self.number], U[self.number]
         self.left_out, self.left_out_speed = size[out].sum(), (size * np.abs(s))[out].sum()
         # k and -k, which is its conjugate, are one term
         self._weight = np.where(self.number == 0, 1.0, 2.0) / self.period
-        self.growth = math.exp(GROWTH) * np.sum(self._weight * np.abs(self.transform))
+        self.growth = math.exp(SIGMA_TIME) * np.sum(self._weight * np.abs(self.transform))
 
     def inverse(self, transforms, finer=1, before=0):
         """Return functions, from transforms (ns, ...) on the line, at the times of the signals.
@@ -210,7 +210,7 @@ class Line:
 
         `inverse` is quicker for many.
         """
-        for some in np.array_split(time, 1 + len(time) * len(self.s) // AT_ONCE):
+        for some in np.array_split(time, 1 + len(time) * len(self.s) // NUMBERS_AT_ONCE):
             turning = self._weight * np.exp(np.outer(some, self.s))
             real, imaginary = (np.ascontiguousarray(x) for x in (turning.real, turning.imag))
             moved = np.tensordot(real, transforms.real, 1)

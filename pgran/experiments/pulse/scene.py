@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from pgran.medium.base import Medium
     from pgran.run.crew import Crew
 
-PROVABLE = 1e-6  # tolerance below which rounding leaves little to be proven
-EQUAL = 0.01  # of a step: how far the times of a motion may be from equal ones
-AT_REST = 0.01  # of a motion's largest: where it may begin
-LARGEST = 1e140  # number of a motion: work takes its square
+PROVABLE_TOLERANCE = 1e-6  # tolerance below which rounding leaves little to be proven
+UNEVENNESS = 0.01  # of a step: how far the times of a motion may be from equal ones
+REST_SHARE = 0.01  # of a motion's largest: where it may begin
+LARGEST_NUMBER = 1e140  # number of a motion: work takes its square
 
 MOTION = option(
     None,
@@ -113,7 +113,7 @@ def pulse(
         task = None if method == "integrate" else PulseLine(recording)
     if method == "auto":
         transform, integrations = predicted_seconds(recording, len(task.omegas))
-        exact = error_tolerance < PROVABLE
+        exact = error_tolerance < PROVABLE_TOLERANCE
         method = "integrate" if exact or integrations < transform else "laplace"
     if method == "integrate":
         from pgran.experiments.pulse.integration import integrate
@@ -194,7 +194,7 @@ def samples_of(values, step):
     if columns.shape[1] == 2:
         apart = np.diff(times)
         step = np.median(apart) if len(apart) else step  # a gap changes their mean
-        uneven = np.flatnonzero(~(np.abs(apart - step) <= EQUAL * step))
+        uneven = np.flatnonzero(~(np.abs(apart - step) <= UNEVENNESS * step))
         if uneven.size or not step > 0:
             at = times[uneven[0] if uneven.size else 0]
             raise InputError(
@@ -202,12 +202,12 @@ def samples_of(values, step):
             )
         step = apart.mean() if len(apart) else step
     largest = np.abs(motion).max(initial=0.0)
-    if len(motion) < 2 or not 1 / LARGEST < largest < LARGEST:  # NaN neither
+    if len(motion) < 2 or not 1 / LARGEST_NUMBER < largest < LARGEST_NUMBER:  # NaN neither
         raise InputError(
             "-pulse_file: a motion needs two finite numbers or more, not all zero, the largest of "
-            f"them between {1 / LARGEST:g} and {LARGEST:g}"
+            f"them between {1 / LARGEST_NUMBER:g} and {LARGEST_NUMBER:g}"
         )
-    if abs(motion[0]) > AT_REST * largest:
+    if abs(motion[0]) > REST_SHARE * largest:
         raise InputError(
             f"-pulse_file: the wall is at rest at 0 before the first number, which is "
             f"{motion[0]:g}; take off a constant, or let the motion begin smoothly"

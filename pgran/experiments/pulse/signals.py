@@ -10,9 +10,9 @@ from pgran.run.machine import check_memory
 from pgran.store.estimate import Estimate
 
 FIELDS = 4  # times at which the field is kept
-FINE = 0.6  # step times frequency of what is integrated by splines: to about 1e-9
+FINE_STEP = 0.6  # step times frequency of what is integrated by splines: to about 1e-9
 FINE_BYTES = 550, 1050  # half of what each time takes in between, of shapes and of numbers
-FRONT = 1e-3  # of the integral of v^2: what has passed when a front has arrived
+FRONT_SHARE = 1e-3  # of the integral of v^2: what has passed when a front has arrived
 BLOCKS, FEWEST_BLOCKS = 16, 6  # that a coda is cut into, and that a rate needs
 DEGREE = 11  # of the splines that are integrated: an odd number
 
@@ -33,7 +33,7 @@ class Recording:
         self.scaled, self.unit = lattice.in_own_unit()
         self.highest = math.sqrt(self.scaled.stiffness_norm / self.scaled.mass)  # of normal modes
         step = time / (points - 1)
-        self.finer = math.ceil(2 * step * sent.reach / FINE)
+        self.finer = math.ceil(2 * step * sent.reach / FINE_STEP)
         self.before = math.ceil(-sent.start * self.finer / step)
         fine = points * self.finer + self.before
         drawn = sent.shape == "file"
@@ -111,7 +111,7 @@ class Recording:
 
 
 def arrivals(time, velocity, error, earliest=0.0):
-    """Return when FRONT of each signal's energy, the integral of v^2, has passed, shape (nd,).
+    """Return when FRONT_SHARE of each signal's energy, int v^2 dt, has passed, shape (nd,).
 
     NaN where errors hide it, nothing moves, or it would be before the `earliest`, the driven wall's
     own: of a motion whose early part alone passes, shares of the whole tell no front.
@@ -121,7 +121,7 @@ def arrivals(time, velocity, error, earliest=0.0):
     fronts = np.full(velocity.shape[1], np.nan)
     passed = [cumulative_trapezoid(x**2, time, axis=0, initial=0.0).T for x in (velocity, error)]
     for d, (energy, missed) in enumerate(zip(*passed, strict=True)):
-        level = FRONT * energy[-1]
+        level = FRONT_SHARE * energy[-1]
         first = np.argmax(energy > level)
         if missed[first] < 0.01 * level:  # a tenth of the velocity
             share = (level - energy[first - 1]) / (energy[first] - energy[first - 1])

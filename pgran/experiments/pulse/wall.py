@@ -12,12 +12,12 @@ from pgran.medium.rounding import EPSILON
 
 SHAPES = ("gauss", "ricker", "burst", "step")
 START = 6.0  # widths from the time 0 to the middle of a pulse: before, it is below 2e-8
-REACH = 9.0  # widths from the middle of a bell to where it is below 3e-18
-EARLIEST = 11.0  # to where it is below 1e-26
+BELL_REACH = 9.0  # widths from the middle of a bell to where it is below 3e-18
+BELL_START = 11.0  # to where it is below 1e-26
 BAND = 3.0  # up to BAND / width the spectrum of a bell is above a hundredth of its largest
 HIGHEST = 15.0  # up to HIGHEST / width it is above 1e-40
 # Further bells on both sides of the samples: a sample decays by e^(-1/2) a bell.
-MARGIN = 40
+PADDING = 40
 
 
 def bells(x, width, carrier, count):
@@ -57,7 +57,7 @@ class Pulse:
         self._carrier = carrier = omega if shape == "burst" else 0.0  # the bell is multiplied by it
         self.centre = START * width
         self.end = 2 * self.centre
-        self.begin, self.rest = self.centre - EARLIEST * width, self.centre + EARLIEST * width
+        self.begin, self.rest = self.centre - BELL_START * width, self.centre + BELL_START * width
         self.band, self.reach = carrier + BAND / width, carrier + 2 * BAND / width
         self.highest = carrier + HIGHEST / width
 
@@ -115,7 +115,7 @@ class Samples:
     `size`, a power of 2, of which the largest number is 1 to 2.
 
         number              0   1  ...  n - 1              before it 0, after it as the last one
-        bell     0  ...  MARGIN  ...  MARGIN + n - 1  ...  2 MARGIN + n - 1
+        bell     0  ...  PADDING  ...  PADDING + n - 1  ...  2 PADDING + n - 1
     """
 
     shape, omega = "file", 0.0
@@ -127,22 +127,23 @@ class Samples:
         self._steps = np.diff(self.heights, prepend=0.0)  # from each bell to the next
         self.end = (len(values) - 1) * width
         self.centre = 0.5 * self.end
-        self.begin, self.rest = -(MARGIN + EARLIEST) * width, self.end + (MARGIN + EARLIEST) * width
+        margin = (PADDING + BELL_START) * width
+        self.begin, self.rest = -margin, self.end + margin
         self.start = self.begin  # the bells of the first samples rise before the time 0
         self.band, self.reach = self._above(0.01), self._above(2e-8)
         self.highest = HIGHEST / width
 
     def _heights(self):
-        """Return the height of each bell, MARGIN of them before the numbers and MARGIN after."""
+        """Return the height of each bell, of those before and after the numbers, too."""
         from scipy.linalg import solveh_banded
 
         motion = np.concatenate(
-            [np.zeros(MARGIN), self.values, np.full(2 * MARGIN, self.values[-1])]
+            [np.zeros(PADDING), self.values, np.full(2 * PADDING, self.values[-1])]
         )
         # At the time of a number the sum of all bells, exp(-j^2 / 2) of one j places away, is it.
-        band = np.exp(-0.5 * np.arange(int(REACH) + 1.0) ** 2)
+        band = np.exp(-0.5 * np.arange(int(BELL_REACH) + 1.0) ** 2)
         heights = solveh_banded(np.outer(band, np.ones(len(motion))), motion, lower=True)
-        heights = heights[:-MARGIN]  # their own end is felt by those cut off alone
+        heights = heights[:-PADDING]  # their own end is felt by those cut off alone
         heights[-1] = motion[-1] / (2 * band.sum() - 1)  # it stands for all that would follow
         return heights
 
@@ -158,8 +159,8 @@ class Samples:
 
     def moves(self, t, count=1):
         """See `Pulse`."""
-        x = np.asarray(t)[..., None] / self.width + MARGIN
-        near = np.floor(x) + np.arange(-REACH, REACH + 2)
+        x = np.asarray(t)[..., None] / self.width + PADDING
+        near = np.floor(x) + np.arange(-BELL_REACH, BELL_REACH + 2)
         height = self.heights[np.clip(near.astype(int), 0, len(self.heights) - 1)]
         height = np.where(near < 0, 0.0, height)
         return np.sum(height * bells(x - near, self.width, 0.0, count).real, axis=-1)
@@ -181,7 +182,7 @@ class Samples:
 
     def _factor(self, s):
         """Return what the transform has in common to all bells, and what steps add up to."""
-        area, shift = self.width * math.sqrt(2 * math.pi), np.exp(s * MARGIN * self.width)
+        area, shift = self.width * math.sqrt(2 * math.pi), np.exp(s * PADDING * self.width)
         return area * shift * np.exp(0.5 * (s * self.width) ** 2) / -np.expm1(-s * self.width)
 
     def sizes(self, t):

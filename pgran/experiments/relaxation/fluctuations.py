@@ -33,7 +33,7 @@ FLATTER, FLATTER_ERRORS = 0.25, 5  # slope missing at the low end that is warned
 
 MEMORIES_IN_PART = 3  # length of a part that errors are taken from, in M
 PARTS_AT_LEAST = 7  # (tests/campaigns/estimates.py)
-WITHIN = 0.8413  # what lies below one standard error of a normal law
+ONE_SIGMA = 0.8413  # what lies below one standard error of a normal law
 
 
 def measured(relaxation, window, bonds):
@@ -329,7 +329,7 @@ class Series:
             return measure(product / count - first * second / count**2)
 
         estimate = jackknife(of_others, len(sums))
-        return Estimate(estimate.value, estimate.error * stdtrit(len(sums) - 1, WITHIN))
+        return Estimate(estimate.value, estimate.error * stdtrit(len(sums) - 1, ONE_SIGMA))
 
 
 def _pair_sums(row, starts, lags):

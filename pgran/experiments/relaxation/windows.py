@@ -42,11 +42,11 @@ from pgran.medium.rounding import SMALLEST_NORMAL
 
 # A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
 # cheap, and errors are a hundredth of their bounds or less, which keeps them below 1e-10.
-LONGEST_REACH = 1e-8
+LARGEST_BOUND = 1e-8
 # NumPy rounds products of fewer than 4 complex numbers, and magnitudes of complex numbers that do
 # not follow each other, in one way or another, depending on where they happen to lie in memory.
 # Neither is used, so that a run repeats bit for bit.
-SHORTEST = 4
+SHORTEST_WINDOW = 4
 
 
 def states_along(changing, solver, s, changes, method, window):
@@ -147,7 +147,7 @@ class Windows(Owner):
         The solver has found the `state` before them by a fresh factorization; the bonds stay as
         they are. n is smaller than the number of changes, even 0, where more would lose accuracy.
         """
-        wanted, changes = len(changes), changes.extended(SHORTEST)
+        wanted, changes = len(changes), changes.extended(SHORTEST_WINDOW)
         G, norms, residuals = self._flexibility(changes.bond)
         delta = self.changing.differences(changes, self.s)
         with np.errstate(all="ignore"):  # what is not finite is not accurate
@@ -170,7 +170,7 @@ class Windows(Owner):
         """Return how the amplitudes, and then the adjoint of each detector, follow the changes."""
         systems = [self.solver.primal, *self.solver.adjoints]
         fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
-        # b^T x0 and b^T z0, in rows of their own: see SHORTEST
+        # b^T x0 and b^T z0, in rows of their own: see SHORTEST_WINDOW
         starts = np.ascontiguousarray(self.operators.stretch(fields, bonds).T)
         T, c = march(G, delta)
         walls = [self.operators.layout.drive[bonds], *[0.0] * len(self.solver.adjoints)]
@@ -212,7 +212,7 @@ class Windows(Owner):
     def _are_accurate(self, start, after, error_bound):
         """Return which steps are accurate at all detectors, or as accurate as their start."""
         solver = self.solver
-        accurate = is_accurate(error_bound, after, min(solver.tolerance, LONGEST_REACH))
+        accurate = is_accurate(error_bound, after, min(solver.tolerance, LARGEST_BOUND))
         # The floor is for what was no more accurate at the start either.
         at_start = is_accurate(start.error_bound, start.displacement, solver.tolerance)
         return np.all(accurate | ((error_bound <= solver.floor) & ~at_start), axis=1)
