@@ -93,7 +93,7 @@ def test_orders_of_integrators(alone, solver_options, options, step, order):
             Operators(lattice, alone) as operators,
             Integrator(operators, [(2, 1)], MOTION, 1.0) as integrator,
         ):
-            found = integrator.run(37.6, 1e-6, begin=-20.0)
+            found = integrator.run(0, 1e-6, -20.0, 37.6)
         steps = np.arange(37) * round(1.6 / h)
         assert np.abs(found.time[steps] - naive.times).max() < 1e-9
         seen = [found.functions[name][0] for name in ("displacement", "velocity", *WALL[::2])]

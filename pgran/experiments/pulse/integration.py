@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from pgran.experiments.pulse.signals import FIELDS
 from pgran.run.agreement import on_root
 from pgran.run.task import Task, carry_out
 
@@ -88,15 +87,13 @@ class Integration(Task):
         end = float(recording.time[-1])
         self.units = [(number, tolerance, None, end) for number, tolerance in tolerances]
         times, detectors = len(recording.time), len(recording.sites)
+        kept = len(recording.field_time)
         row = [
             *((name, float, (times, detectors)) for name in MOTION),
             *((name, float, (times,)) for name in (*WALL, "rough")),
-            ("steps", np.int64),
-            ("complete", bool),
+            *(("steps", np.int64), ("complete", bool)),
+            *(("field_time", float, (kept,)), ("field", float, (kept, *recording.lattice.shape))),
         ]
-        if recording.fields:
-            shape = (FIELDS, *recording.lattice.shape)
-            row += [("field_time", float, (FIELDS,)), ("field", float, shape)]
         self.row = np.dtype(row)
 
     @contextlib.contextmanager
@@ -106,17 +103,11 @@ class Integration(Task):
         from pgran.experiments.pulse.integrator import Integrator
 
         recording = self.recording
-        keep_at = recording.field_time if recording.fields else ()
         with (
             Operators(recording.scaled, group) as operators,
             Integrator(operators, recording.sites, recording.sent, recording.highest) as integrator,
         ):
-
-            def work(unit):
-                number, tolerance, begin, end = unit
-                return self.read(integrator.run(end, tolerance, number, keep_at, begin))
-
-            yield work
+            yield lambda unit: self.read(integrator.run(*unit, recording.field_time))
 
     def read(self, history):
         """Return a row: the history at the times that are wanted."""

@@ -111,14 +111,14 @@ class Integrator(Owner):
         csr = J.indptr, J.indices, J.data
         return PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=self.comm)
 
-    def run(self, time, tolerance, number=0, keep_at=(), begin=None):
-        """Integrate from rest until some time, and return the History. Collective.
+    def run(self, number, tolerance, begin, end, keep_at=()):
+        """Integrate from rest, and return the History. Collective.
 
         A step makes an error of `tolerance` at most, relative to u and to the drive. After `number`
         coarser integrations steps of a fixed length, and the longest of others, are as many times
-        shorter, so that two integrations are never the same. Of the times `keep_at`, which
-        increase, the field is kept at the first step from each on. It begins before the pulse and
-        the time 0, unless a time is given.
+        shorter, so that two integrations are never the same. It begins before the pulse and the
+        time 0 if `begin` is None. Of the times `keep_at`, which increase, the field is kept at the
+        first step from each on.
         """
         self._rows, self._fields, self._keep_at = [], [], list(keep_at)
         self._shrink = LIMIT_RATIO**number
@@ -131,7 +131,7 @@ class Integrator(Owner):
         with holding(self._keys()):
             ts.setOptionsPrefix("pulse_")
             ts.setTime(self.rate * begin)
-            ts.setMaxTime(self.rate * time)
+            ts.setMaxTime(self.rate * end)
             ts.setMaxSteps(STEPS_AT_MOST)
             ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
             ts.setTolerances(rtol=tolerance, atol=tolerance * self.operators.lattice.drive_size)
@@ -153,10 +153,10 @@ class Integrator(Owner):
             ts.solve(state)
         self._given.getReal("ts_dt", step)  # it was used
         reason, ended = ts.getConvergedReason(), ts.getTime() / self.rate
-        complete = reason > 0 and ended >= time
+        complete = reason > 0 and ended >= end
         if not complete and self.comm.rank == 0:
             text = "an integration has ended at time %.6g, before %g (TSConvergedReason %d)"
-            log.warning(text, ended, time, reason)
+            log.warning(text, ended, end, reason)
         for held in (ts, *pair, *([] if self._second_order else [state])):
             held.destroy()
         steps, functions = self._functions()

@@ -42,7 +42,7 @@ class Recording:
         self.time = np.linspace(0.0, time, points)
         fine = np.linspace(0.0, time, self.finer * (points - 1) + 1)
         self.fine = np.append(-step / self.finer * np.arange(self.before, 0, -1), fine)
-        self.field_time = np.linspace(sent.centre, time, FIELDS + 1)[1:]
+        self.field_time = np.linspace(sent.centre, time, FIELDS + 1)[1:] if fields else np.empty(0)
 
     @property
     def taken(self):
