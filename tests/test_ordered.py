@@ -80,20 +80,6 @@ def test_what_has_no_counterpart():
             pgran.ordered(refused)
 
 
-def test_the_command(call, shared_path):
-    words = ["pack", "--balls", "60", "--pressure", "1e-2", "--walls", "x", "--seed", "7"]
-    packing = pgran.pack(60, pressure=1e-2, walls="x", seed=7)
-    assert call(*words, "--displacement", "scalar", "-o", "a.h5").returncode == 0
-    scalar = dataclasses.replace(packing, displacement="scalar", direction=None)
-    assert pgran.load(shared_path / "a.h5") == scalar
-    done = call(*words, "--ordered", "-o", "b.h5")
-    assert done.returncode == 0, done.stderr
-    assert "along diagonals; of the packing itself:" in done.stdout
-    assert pgran.load(shared_path / "b.h5") == pgran.ordered(packing, 7)
-    refused = call(*words, "--ordered", "--displacement", "vector", "-o", "c.h5")
-    assert "shear of vectors" in refused.stderr
-
-
 def test_the_table_in_small(monkeypatch, capsys):
     """Two rows of it."""
     networks = geometry.networks

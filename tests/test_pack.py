@@ -1,5 +1,7 @@
 """Packings made here: what was asked, the laws of jamming, the command."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -8,18 +10,6 @@ from pgran.balance import settle
 from pgran.balance.equilibrium import NotBalancedError
 from pgran.balance.pack import diameters, packed_network
 from pgran.errors import InputError
-
-
-@pytest.mark.parametrize("law", ["hertz"])
-def test_contacts_beyond_isostatic_grow_like_the_root_of_the_overlap(law):
-    """O'Hern, Silbert, Liu, Nagel, Phys. Rev. E 68, 011306 (2003)."""
-    overlap, excess = [], []
-    for pressure in (1e-2, 1e-3):
-        each = [packed_network(120, law=law, pressure=pressure, seed=n) for n in range(3)]
-        overlap.append(np.mean([network.overlap.mean() for network, _ in each]))
-        excess.append(np.mean([2 * packed.excess / len(net.held) for net, packed in each]))
-    exponent, _ = np.polyfit(np.log(overlap), np.log(excess), 1)
-    assert 0.4 < exponent < 0.65
 
 
 def test_sizes():
@@ -141,6 +131,17 @@ def test_bad_packings_are_refused():
             assert "\n" not in str(caught.value)
 
 
+def test_the_command_makes_an_ordered_counterpart(call, shared_path):
+    words = ["pack", "--balls", "60", "--pressure", "1e-2", "--walls", "x", "--seed", "7"]
+    done = call(*words, "--ordered", "-o", "b.h5")
+    assert done.returncode == 0, done.stderr
+    assert "along diagonals; of the packing itself:" in done.stdout
+    packing = pgran.pack(60, pressure=1e-2, walls="x", seed=7)
+    assert pgran.load(shared_path / "b.h5") == pgran.ordered(packing, 7)
+    refused = call(*words, "--ordered", "--displacement", "vector", "-o", "c.h5")
+    assert "shear of vectors" in refused.stderr
+
+
 def test_the_command_makes_what_a_run_takes(call, place, shared_path):
     """Its file, its words, and the ways to go wrong."""
     words = ["pack", "--balls", "60", "--pressure", "1e-2", "--walls", "x", "--shape", "2,1"]
@@ -158,5 +159,7 @@ def test_the_command_makes_what_a_run_takes(call, place, shared_path):
         assert run.returncode == 0, run.stderr
     assert pgran.load(shared_path / "r.h5").network.built == network
     assert "exists already" in call(*words).stderr
-    assert call(*words, "--overwrite").returncode == 0
+    assert call(*words, "--overwrite", "--displacement", "scalar").returncode == 0
+    scalar = dataclasses.replace(network, displacement="scalar", direction=None)
+    assert pgran.load(shared_path / "a.h5") == scalar
     assert "no positive number" in call("pack", "--balls", "9", "--pressure", "x", "-o", "b").stderr

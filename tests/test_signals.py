@@ -320,19 +320,6 @@ def test_arrival_of_a_front():
         assert np.isnan(arrivals(time, *hidden))
 
 
-@pytest.mark.parametrize(("shape", "omega", "width"), [("burst", 0.6, 12.0), ("gauss", 0.6, 4.0)])
-def test_no_front_is_before_the_walls_own(shape, omega, width):
-    """Next to the wall, too, where balls move less than the wall and as early."""
-    lattice = pgran.Lattice.random((8, 6))
-    near = [(7, j) for j in range(6)] + [(6, 2), (4, 2), (0, 0)]
-    sent = {"shape": shape, "omega": omega, "width": width, "time": 200.0, "points": 801}
-    found = pgran.pulse(lattice, near, **sent)
-    assert np.all(found.arrival >= found.wall_arrival)
-    ahead = np.argmax(np.abs(found.displacement) > 0.1 * np.abs(found.displacement).max(0), axis=0)
-    wall = np.argmax(np.abs(found.wall) > 0.1 * np.abs(found.wall).max())
-    assert (ahead < wall).any() == (shape == "burst")  # as a part of the largest has it
-
-
 def test_a_front_that_shares_of_energy_cannot_tell_is_none():
     """The wall's slow motion gets to the balls, its buzz beyond all modes does not."""
     time = np.linspace(0, 100, 1001)
