@@ -46,9 +46,7 @@ def integrate(recording, crew, progress):
     fields = ("field_time", "field") if recording.fields else ()
     return recording.record(
         "integrate",
-        [last[name] for name in MOTION],
-        [errors[name] for name in MOTION],
-        {name: (last[name], errors[name]) for name in WALL},
+        {name: (last[name], error) for name, error in errors.items()},
         sigma=0.0,
         period=0.0,
         solves=int(last["steps"]),

@@ -79,26 +79,24 @@ class PulseLine(FrequencySweep):
         """See `Task`; what failed has an infinite bound."""
         line, recording = self.line, self.recording
         bound = np.where(np.isnan(rows["error_bound"]), np.inf, rows["error_bound"])
-        motion, errors = line.signals(np.nan_to_num(rows["displacement"]), bound)
-        wall, at_times = self._work(rows["force"], rows["force_error"]), {}
+        found, at_times = line.signals(np.nan_to_num(rows["displacement"]), bound), {}
+        found |= self._work(rows["force"], rows["force_error"])
         if self.whole:
             field = np.nan_to_num(rows["field"])
             field = line.transform.reshape(-1, *[1] * (field.ndim - 1)) * field
             energy, power = self._energies(field)
             dissipated, rough = recording.integral(power)
-            work, error = wall["work"]
+            work, error = found["work"]
             # all three are computed apart from each other
             error = error + rough + np.maximum.accumulate(np.abs(work - energy - dissipated))
-            wall |= {"energy": (energy, error), "dissipated": (dissipated, error)}
+            found |= {"energy": (energy, error), "dissipated": (dissipated, error)}
             if recording.fields:
                 moved = np.concatenate([*line.at(recording.field_time, field)])
                 moved = recording.scaled.displacements(moved)
                 at_times = {"field_time": recording.field_time, "field": moved}
         return recording.record(
             "laplace",
-            motion,
-            errors,
-            wall,
+            found,
             sigma=line.sigma,
             period=line.period,
             solves=len(rows),
@@ -217,7 +215,7 @@ class Line:
             yield moved - np.tensordot(imaginary, transforms.imag, 1)
 
     def signals(self, amplitude, bound):
-        """Return displacements and velocities, and bounds of their errors, shape (nt, nd) each.
+        """Return displacement and velocity by name, each with a bound of its error, (nt, nd).
 
         From A(s) of each detector and the bound of its error, shape (ns, nd).
         """
@@ -226,16 +224,18 @@ class Line:
         steps = len(self.s) + 16 + 6 * math.log2(self.times + len(self.s)) + size * self.period
         rounding = 4 * EPSILON * steps * np.abs(self.transform)
         rounding += self.pulse.rounding(self.s, self.transform)
-        displacement = np.ones_like(self.s), self.left_out, self._later(1)
-        velocity = self.s, self.left_out_speed, self._later(0)
-        motion, errors = [], []
-        for power, left_out, later in (displacement, velocity):
+        parts = {
+            "displacement": (np.ones_like(self.s), self.left_out, self._later(1)),
+            "velocity": (self.s, self.left_out_speed, self._later(0)),
+        }
+        found = {}
+        for name, (power, left_out, later) in parts.items():
             weight = (self._weight * np.abs(power))[:, None]
             error = weight * (np.abs(U) * bound + rounding[:, None] * np.abs(amplitude))
             at_start = error.sum(axis=0) + left_out * self.readings
-            motion.append(self.inverse(power[:, None] * amplitude * U))
-            errors.append(1.01 * growth * at_start + later[:, None] * self.readings)
-        return motion, errors
+            bounds = 1.01 * growth * at_start + later[:, None] * self.readings
+            found[name] = self.inverse(power[:, None] * amplitude * U), bounds
+        return found
 
     def summed(self, errors):
         """Return what errors (ns,) of a function, but for U, add up to without e^(sigma t)."""

@@ -67,28 +67,28 @@ class Recording:
         rougher = integral(self.fine[rare], power[rare], self.time)
         return work, np.maximum.accumulate(np.abs(work - rougher))
 
-    def record(self, method, motion, errors, wall, **more):
+    def record(self, method, found, **more):
         """Return the Signals; `more` are other fields of theirs.
 
-        `motion` are displacement and velocity, shape (nt, nd), `errors` what these may be wrong by;
-        `wall` has by name the force and work of the wall, energy and what the dashpots took, where
-        they are known, each (nt,) with an estimate of its error, in the unit of `scaled`.
+        `found` has by name displacement and velocity, shape (nt, nd), force and work of the wall,
+        and, where they are known, energy and what the dashpots took, (nt,), each with what it may
+        be wrong by, in the unit of `scaled`.
         """
-        (displacement, velocity), size = motion, self.sent.size
-        envelope = envelopes(displacement, velocity)
         moves, speed = self.sent.moves(self.time, 2)
         if self.scaled.push is not None:  # a force that is known exactly
-            wall = wall | {"force": (self.scaled.push_sizes.sum() * moves, 0 * self.time)}
+            found = found | {"force": (self.scaled.push_sizes.sum() * moves, 0 * self.time)}
+        (displacement, error), (velocity, speed_error) = found["displacement"], found["velocity"]
+        envelope, size = envelopes(displacement, velocity), self.sent.size
+        decay, decay_error = codas(self.time, envelope, error)
         wall_arrival = float(arrivals(self.time, speed[:, None], 0 * speed[:, None])[0])
         how = "bound" if method == "laplace" else "estimate"
-        for name, values in zip(("error", "velocity"), errors, strict=True):
-            more[f"{name}_{how}"] = size * values
+        errors = {"displacement": f"error_{how}", "velocity": f"velocity_{how}"}
+        units = {"displacement": size, "velocity": size, "force": self.unit * size}
+        for name, (values, wrong) in found.items():
+            unit = units.get(name, self.unit * size**2)
+            more |= {name: unit * values, errors.get(name, f"{name}_estimate"): unit * wrong}
         if self.fields:
             more["field"] = size * more["field"]
-        for name, (values, estimate) in wall.items():
-            unit = self.unit * (size if name == "force" else size**2)
-            more |= {name: unit * values, f"{name}_estimate": unit * estimate}
-        decay, decay_error = codas(self.time, envelope, errors[0])
         return Signals(
             shape=self.sent.shape,
             pulse_omega=self.sent.omega,
@@ -96,15 +96,13 @@ class Recording:
             method=method,
             tolerance=self.tolerance,
             wall_arrival=wall_arrival,
-            arrival=arrivals(self.time, velocity, errors[1], wall_arrival),
+            arrival=arrivals(self.time, velocity, speed_error, wall_arrival),
             centre=centres(self.time, envelope),
             decay=decay,
             decay_error=decay_error,
             time=self.time,
             wall=size * moves,
             detector=self.sites,
-            displacement=size * displacement,
-            velocity=size * velocity,
             envelope=size * envelope,
             **more,
         )
