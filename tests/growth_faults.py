@@ -17,7 +17,7 @@ from scipy.linalg import lu_factor, lu_solve
 from sensitivity_samples import heated
 
 import pgran
-from pgran.balance.networks import changed_contacts
+from pgran.balance.networks import contact_changes
 from pgran.errors import PgranError
 from pgran.experiments.sensitivity.growth import LOST, Packing
 from pgran.experiments.sensitivity.record import OUTCOMES
@@ -115,7 +115,7 @@ def growth_faults(case, seen):
     seen["rattlers"] += np.count_nonzero(grown.network.held != network.held)
     try:
         alike = pgran.equilibrate(network, grown.network.radius)
-        if network.gravity is not None or any(changed_contacts(alike, grown.network)):
+        if network.gravity is not None or any(contact_changes(alike, grown.network)):
             seen["other loads or contacts"] += 1
         elif not np.allclose(alike.force.sum(), grown.network.force.sum(), rtol=1e-9, atol=0):
             yield f"EQUILIBRATE {what}: other forces"

@@ -14,7 +14,7 @@ import pgran
 from pgran.balance import equilibrium
 from pgran.balance.equilibrium import Factors, NotBalancedError, at_rest, factored, newton
 from pgran.balance.motion import Balls, ContactLaw, Motion, listed, near_pairs
-from pgran.balance.networks import balls_of, changed_contacts, grown
+from pgran.balance.networks import balls_of, contact_changes, grown
 from pgran.balance.pack import packed_network
 from pgran.errors import InputError
 from pgran.medium.graph import loose_balls, part
@@ -131,7 +131,7 @@ def test_a_grown_ball_in_a_packing(spheres, ball, contacts, energy):
 def test_a_network_at_rest_stays_and_comes_back(spheres):
     """Contacts, forces, positions: after a ball has grown a little and shrunk again, too."""
     rest = pgran.equilibrate(spheres)
-    assert changed_contacts(spheres, rest) == (0, 0)
+    assert contact_changes(spheres, rest) == (0, 0)
     assert left_over(rest) < 1e-12
     np.testing.assert_allclose(rest.force, spheres.force, rtol=1e-8)
     radius = rest.radius.copy()
@@ -148,7 +148,7 @@ def test_held_balls_and_numbers_stay_when_contacts_change(spheres):
     radius = spheres.radius.copy()
     radius[184] += 0.3 * spheres.overlap.mean()
     after = pgran.equilibrate(spheres, radius)
-    opened, closed = changed_contacts(spheres, after)
+    opened, closed = contact_changes(spheres, after)
     assert closed - opened == 951 - 948
     assert np.array_equal(after.held, spheres.held)
     held = spheres.held > 0

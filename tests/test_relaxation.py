@@ -13,7 +13,7 @@ from pgran.driven.steady import SteadySolver
 from pgran.errors import InputError
 from pgran.experiments.relaxation import windows
 from pgran.experiments.relaxation.fluctuations import power_spectrum
-from pgran.experiments.relaxation.windows import ChangingBonds, Windows, march
+from pgran.experiments.relaxation.windows import BondExchange, Windows, march
 from pgran.medium.bonds import bond_arrays, bond_count
 from pgran.medium.law import BondLaw
 from pgran.medium.redraw import draw_changes
@@ -46,7 +46,7 @@ def follow(lattice, omega, sites, changes, tolerance=1e-4):
     """The amplitudes of one window, their bounds, and what they are."""
     with (
         steady(lattice, sites, tolerance=tolerance) as (operators, solver),
-        Windows(ChangingBonds(lattice, operators, None), solver, 1j * omega) as followed,
+        Windows(BondExchange(lattice, operators, None), solver, 1j * omega) as followed,
     ):
         after, bound = followed.follow(solver.solve(1j * omega), changes)
     places, steps = lattice.bond_places(changes.bond), range(1, len(after) + 1)

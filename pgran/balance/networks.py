@@ -69,7 +69,7 @@ def equilibrate(network: Network, radius: "ArrayLike | None" = None) -> Network:
         raise InputError(f"equilibrate: radius: {len(balls.radius)} positive numbers are needed")
     rest = grown(balls, contacts, radius)
     result = network_of(rest, network)
-    opened, closed = changed_contacts(network, result)
+    opened, closed = contact_changes(network, result)
     overlap = result.overlap.mean()
     moved = np.linalg.norm(rest.balls.position - balls.position, axis=1).max()
     log.info(
@@ -181,7 +181,7 @@ def grown(balls, contacts, radius, growth=GROWTH):
     return rest._replace(factorizations=factorizations)
 
 
-def changed_contacts(before, after):
+def contact_changes(before, after):
     """Return how many contacts of a network another one lacks, and how many it has besides."""
     numbers = [pair_numbers(network.bond, len(network.held)) for network in (before, after)]
     common = len(np.intersect1d(*numbers))

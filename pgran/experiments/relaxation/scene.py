@@ -175,22 +175,22 @@ class Steps(Task):
         """See `Task`."""
         from pgran.driven.operators import Operators
         from pgran.driven.steady import SteadySolver
-        from pgran.experiments.relaxation.windows import ChangingBonds, states_along
+        from pgran.experiments.relaxation.windows import BondExchange, states_along
 
         march, draw = self.march, partial(self.redraw, unit=self.unit)
         with (
             Operators(self.scaled, group) as operators,
             SteadySolver(operators, self.sites, **self.steady) as solver,
         ):
-            changing = ChangingBonds(self.scaled, operators, draw)
+            exchange = BondExchange(self.scaled, operators, draw)
 
             def work(unit):
                 trajectory, first, count = unit
                 before, changes = solver.factorizations, draw(*unit)
-                changing.move_to(trajectory, first)
+                exchange.move_to(trajectory, first)
                 solver.restart()
                 states = states_along(
-                    changing, solver, 1j * march.omega, changes, march.method, self.window
+                    exchange, solver, 1j * march.omega, changes, march.method, self.window
                 )
                 rows = np.zeros(count + 1, self.row)
                 rows["displacement"], rows["error_bound"], rows["drift"] = states

@@ -49,7 +49,7 @@ LARGEST_BOUND = 1e-8
 SHORTEST_WINDOW = 4
 
 
-def states_along(changing, solver, s, changes, method, window):
+def states_along(exchange, solver, s, changes, method, window):
     """Return the amplitudes before and after each change, their bounds, and how windows drift.
 
     Collective. The methods `krylov` and `direct` solve at each step. A window, of at most so many
@@ -60,7 +60,7 @@ def states_along(changing, solver, s, changes, method, window):
     bound, drift = np.empty(amplitude.shape), np.zeros(len(amplitude))
     done, last, reach = 0, None, window  # `last`: up to which step windows have come
     in_windows = method == "window"
-    with Windows(changing, solver, s) if in_windows else contextlib.nullcontext() as windows:
+    with Windows(exchange, solver, s) if in_windows else contextlib.nullcontext() as windows:
         while True:
             if method != "krylov":
                 solver.restart()
@@ -83,11 +83,11 @@ def states_along(changing, solver, s, changes, method, window):
                 amplitude[done + 1 : last + 1], bound[done + 1 : last + 1] = after, after_bound
                 steps = max(1, len(after))
                 reach = min(window, 2 * steps)  # after an early end not much more may be reached
-            changing.apply(changes[done : done + steps])
+            exchange.apply(changes[done : done + steps])
             done += steps
 
 
-class ChangingBonds:
+class BondExchange:
     """All bond constants before a step of a trajectory, their operators; `draw` gives Changes."""
 
     def __init__(self, lattice, operators, draw):
@@ -128,8 +128,8 @@ class Windows(Owner):
 
     owns = ("_columns",)
 
-    def __init__(self, changing, solver, s):
-        self.operators, self.comm = changing.operators, changing.operators.comm
+    def __init__(self, exchange, solver, s):
+        self.operators, self.comm = exchange.operators, exchange.operators.comm
         if self.operators.damping == 0:
             raise InputError(
                 "-relax_method window: needs damping, -lattice_damping; krylov does without"
@@ -138,7 +138,7 @@ class Windows(Owner):
             raise InputError(
                 "-relax_method window: needs a factorization (-steady_pc_type lu); krylov not"
             )
-        self.changing, self.solver, self.s = changing, solver, s
+        self.exchange, self.solver, self.s = exchange, solver, s
         self._columns, self._rows = Columns(solver), self.operators.lattice.rows
 
     def follow(self, state, changes):
@@ -149,7 +149,7 @@ class Windows(Owner):
         """
         wanted, changes = len(changes), changes.extended(SHORTEST_WINDOW)
         G, norms, residuals = self._flexibility(changes.bond)
-        delta = self.changing.differences(changes, self.s)
+        delta = self.exchange.differences(changes, self.s)
         with np.errstate(all="ignore"):  # what is not finite is not accurate
             deformations = self._deformations(changes.bond, delta, G, norms)
             found = self._amplitudes(state, delta, norms, residuals, *deformations)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgran.balance.motion import pair_numbers
-from pgran.balance.networks import GROWTH, balls_of, changed_contacts, grown, law_of, network_of
+from pgran.balance.networks import GROWTH, balls_of, contact_changes, grown, law_of, network_of
 from pgran.errors import InputError, PgranError
 from pgran.experiments.sensitivity.gradient import fields_of, systems_of
 from pgran.experiments.sensitivity.radii import Radii, with_vectors
@@ -189,7 +189,7 @@ class Packing:
         except PgranError:  # no rest, or too narrow a box
             return Grown(None, LOST)
         network = network_of(rest, self.network)
-        opened, closed = changed_contacts(self.network, network)
+        opened, closed = contact_changes(self.network, network)
         outcome = SMOOTH
         if opened or closed:
             returns = any(self._is_reached_from(rest, step) for step in (math.inf, GROWTH))
@@ -224,7 +224,7 @@ class Packing:
         except PgranError:
             return False
         network = network_of(back, self.network)
-        if any(changed_contacts(self.network, network)):
+        if any(contact_changes(self.network, network)):
             return False
         here, there = (
             one.overlap[np.argsort(pair_numbers(one.bond, len(one.held)))]
