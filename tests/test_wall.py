@@ -161,8 +161,7 @@ def test_limits_of_the_force(alone):
     assert swept(Lattice(tuple(loose), 1.0, 0.0), [0.3], (1, 1), alone).force.tolist() == [0]
 
 
-@pytest.mark.parametrize("medium", ["lattice", "vector"])
-@pytest.mark.parametrize("damping", [0.0, 0.02])
+@pytest.mark.parametrize(("medium", "damping"), [("lattice", 0.0), ("vector", 0.02)])
 def test_the_number_of_ranks_does_not_matter(world, medium, damping):
     (sample, site), omegas = sample_of(medium, damping), np.linspace(0.1, 1.2, 9)
     alone, each, shared = (
