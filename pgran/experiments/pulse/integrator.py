@@ -99,7 +99,7 @@ class Integrator(Owner):
         c = 0.0 * k
         if operators.C is not None:
             c = self._damping * operators.C.getValuesCSR()[2]
-        ball = np.arange(operators.last - operators.first)
+        ball = np.arange(operators.last - operators.first, dtype=columns.dtype)
         force = 2 * np.repeat(ball, np.diff(pointer)) + 1  # the row that an entry of K is in
         places = (
             np.concatenate([2 * ball, force, force]),
