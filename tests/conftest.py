@@ -38,7 +38,7 @@ import pgran.__main__ as program
 from pgran.command import run as running
 from pgran.run import streams
 from pgran.run.petsc import holding
-from pgran.store import careful as hdf5
+from pgran.store import file as store
 
 WORLD = MPI.COMM_WORLD
 RANKS = {"world", "comm", "shared_path"}  # the fixtures of a test that has to do with ranks
@@ -267,7 +267,7 @@ def call(experiment, shared_path, monkeypatch, capsys):
 @pytest.fixture
 def here(monkeypatch):
     """Let files be read without the trial by another process, which is quicker."""
-    monkeypatch.setattr(hdf5, "try_apart", lambda *words: None)
+    monkeypatch.setattr(store, "try_apart", lambda *words: None)
 
 
 @pytest.fixture

@@ -19,7 +19,6 @@ from pgran import __version__, load
 from pgran.errors import FileError
 from pgran.medium.network_file import write_network
 from pgran.medium.record import record_of
-from pgran.store import careful as hdf5
 from pgran.store import file as store
 
 OPENING = "pgran: response of a 6 x 5 lattice, bonds uniform on [0, 0.25], seed 1993, beta 0.003, "
@@ -275,7 +274,7 @@ def test_a_signal_while_a_network_is_read(start, place, shared_path):
     )
     place("b.opts", "-scene response -network_file net.h5 -detectors 1 -sweep_points 3")
     tell = "import os, threading; threading.Timer(.1, os.killpg, (os.getpgrp(), 10)).start()"
-    fault = inject.words("before pgran.store.careful:try_apart", tell)
+    fault = inject.words("before pgran.store.file:try_apart", tell)
     done = start("run", "b.opts", program=["setsid", "--wait", sys.executable, *fault])
     assert done.returncode == 75, done.stderr
     assert "stopped by SIGUSR1 before any work was finished" in done.stderr
@@ -286,7 +285,7 @@ def test_a_stop_that_meets_the_trial_of_a_file_says_nothing_of_it(tmp_path, monk
     (tmp_path / "asked.py").write_text("import os\nfor n in (10, 15): os.kill(os.getpid(), n)")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
-    hdf5.try_apart(tmp_path / "asked.py", "asked")
+    store.try_apart(tmp_path / "asked.py", "asked")
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 

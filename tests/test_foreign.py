@@ -15,7 +15,6 @@ from pgran import load
 from pgran.errors import FileError
 from pgran.medium.bonds_file import read_bonds
 from pgran.medium.record import LatticeRecord
-from pgran.store import careful as hdf5
 from pgran.store import file as store
 
 NAMES = ("stiffness_x", "stiffness_y", "stiffness_z")
@@ -181,15 +180,15 @@ def test_a_process_that_fails(path, monkeypatch, program, said):
         reader.write_text(f"#!/bin/sh\nexec 3>&-\n{program}\n")
         reader.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(reader))
-    monkeypatch.setattr(hdf5, "SECONDS", 0.2)
+    monkeypatch.setattr(store, "SECONDS", 0.2)
     assert said in refusal(write(path, **good()))
 
 
 def test_limits_of_the_process(path):
     write(path, **good())
     program = (
-        "import resource as r, sys; from pgran.medium.bonds_file import bonds, hdf5;"
-        "hdf5.main(sys.argv[1], bonds);"
+        "import resource as r, sys; from pgran.medium.bonds_file import bonds, store;"
+        "store.read_within_limits(sys.argv[1], bonds);"
         "print([r.getrlimit(n)[0] for n in (r.RLIMIT_CORE, r.RLIMIT_CPU, r.RLIMIT_AS)],"
         "'mpi4py' in sys.modules)"
     )

@@ -21,8 +21,8 @@ from pgran.errors import DONE, FileError, PgranError
 from pgran.medium.bonds_file import read_bonds
 from pgran.store import file as store
 from pgran.store.file import FORMAT_VERSION
+from pgran.store.paths import check_seal
 from pgran.store.record import Result
-from pgran.store.seal import check_seal
 
 VERSION_1 = Path(__file__).with_name("version1.h5")
 

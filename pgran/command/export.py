@@ -13,9 +13,8 @@ from pgran.command.words import Parser
 from pgran.errors import DONE, FileError, InputError, PgranError
 from pgran.medium.record import as_result
 from pgran.store.file import is_result
-from pgran.store.paths import whole
-from pgran.store.seal import check_seal
-from pgran.store.table import tables
+from pgran.store.paths import check_seal, whole
+from pgran.store.text import tables
 
 log = logging.getLogger("pgran")
 HELD = 1e-3  # of the mean force: how exactly positions must hold the forces of a packing

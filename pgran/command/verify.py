@@ -10,7 +10,7 @@ def verify(words):
     parser = Parser("verify", does, "pgran verify results/response.h5")
     parser.add_argument("result", metavar="RESULT", help="HDF5 file that pgran run has written")
     options = parser.parse_args(words)
-    from pgran.store.seal import check_seal
+    from pgran.store.paths import check_seal
 
     check_seal(options.result)
     print(f"{options.result}: as it was written")

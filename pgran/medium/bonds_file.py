@@ -8,8 +8,8 @@ import numpy as np
 from pgran.errors import FileError, InputError
 from pgran.medium.lattice import Lattice
 from pgran.medium.record import LatticeRecord
-from pgran.store import careful as hdf5
-from pgran.store.seal import check_seal, has_seal
+from pgran.store import file as store
+from pgran.store.paths import check_seal, has_seal
 
 
 def read_bonds(path):
@@ -22,8 +22,8 @@ def read_bonds(path):
     if has_seal(path):
         check_seal(path)
     else:
-        hdf5.try_apart(path, "pgran.medium.bonds_file")
-    with hdf5.opened(path) as file:
+        store.try_apart(path, "pgran.medium.bonds_file")
+    with store.opened(path) as file:
         stiffness, kmax = bonds(file)
     try:
         Lattice(stiffness)
@@ -49,4 +49,4 @@ def bonds(file):
 
 
 if __name__ == "__main__":
-    sys.exit(hdf5.main(sys.argv[1], bonds))
+    sys.exit(store.read_within_limits(sys.argv[1], bonds))

@@ -22,10 +22,8 @@ from pgran.arguments import called_right
 from pgran.errors import FileError, InputError
 from pgran.medium.bonds import AXES
 from pgran.medium.springs import FREE
-from pgran.store import careful as hdf5
 from pgran.store import file as store
-from pgran.store.paths import open_regular, whole, writing
-from pgran.store.seal import check_seal, has_seal
+from pgran.store.paths import check_seal, has_seal, open_regular, whole, writing
 
 FORMAT, FORMAT_VERSION = "pgran network", 1
 # Of each dataset: its type, units, and what it is.
@@ -52,7 +50,6 @@ ATTRIBUTES = {
     "direction": np.ndarray, "power": float, "box": np.ndarray, "gravity": np.ndarray,
     "damping_power": float, "damping_reference": float,
 }  # fmt: skip
-CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
 
 
 def write_network(path, members, attributes, overwrite=False):
@@ -65,7 +62,7 @@ def write_network(path, members, attributes, overwrite=False):
     path = Path(path)
     check_output(path, overwrite)
     memory = io.BytesIO()
-    with h5py.File(memory, "w", libver=CHECKED) as file:
+    with h5py.File(memory, "w", libver=store.CHECKED) as file:
         file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION)
         group = file.create_group("network")
         group.attrs.update(attributes)
@@ -99,7 +96,7 @@ def check_output(path, overwrite):
     with writing(path):
         if not os.path.lexists(path):
             return
-    with contextlib.suppress(FileError), hdf5.opened(path) as file:
+    with contextlib.suppress(FileError), store.opened(path) as file:
         ours = str(file.attributes("/").get("format")) == FORMAT
     if not ours:
         raise FileError(f"{path}: exists and is no network of pgran's: move it away yourself")
@@ -177,8 +174,8 @@ def read_network(path, **overrides):
     """
     from pgran.medium.network import Network
 
-    hdf5.try_apart(path, "pgran.medium.network_file")
-    with hdf5.opened(path) as file:
+    store.try_apart(path, "pgran.medium.network_file")
+    with store.opened(path) as file:
         values = members_of(file)
     if values["displacement"] == "scalar":
         values.pop("direction", None)
@@ -223,9 +220,9 @@ def load(path):
         If the file is neither, is damaged, or lacks what its records declare.
     """
     open_regular(path, ".h5").close()
-    if os.path.getsize(path) <= hdf5.MODEST and has_seal(path):
+    if os.path.getsize(path) <= store.MODEST and has_seal(path):
         check_seal(path)
-    with hdf5.opened(path) as file:
+    with store.opened(path) as file:
         facts = file.attributes("/")
         ours = str(facts.get("format")) == store.FORMAT
         if not ours and not file.members("/", ["network"]):
@@ -234,4 +231,4 @@ def load(path):
 
 
 if __name__ == "__main__":
-    sys.exit(hdf5.main(sys.argv[1], members_of))
+    sys.exit(store.read_within_limits(sys.argv[1], members_of))

@@ -28,6 +28,19 @@ KINDS = {
 }
 
 
+def attribute(since=1, optional=False, **said):
+    """Declare a plain value that files have since some version of their format, or may have."""
+    return dataclasses.field(
+        metadata=said | {"since": since, "optional": optional},
+        default=None if optional else dataclasses.MISSING,
+    )
+
+
+def attribute_array(*along, since=1, optional=False):
+    """Declare a short array of real numbers: an attribute of its group."""
+    return attribute(since, optional, along=along, dtype=float)
+
+
 def array(long_name, units, *axes, dtype=float, since=1, optional=False, row=False):
     """Declare an array: a dataset of a file, with its axes (None for a coordinate).
 
@@ -35,11 +48,8 @@ def array(long_name, units, *axes, dtype=float, since=1, optional=False, row=Fal
     `optional` array may be missing in any. With `row` ranks compute it, one entry of the first axis
     after the other: see `row_of`.
     """
-    said = {"long_name": long_name, "units": units, "axes": axes, "dtype": dtype, "since": since}
-    return dataclasses.field(
-        metadata=said | {"optional": optional, "row": row},
-        default=None if optional else dataclasses.MISSING,
-    )
+    said = {"long_name": long_name, "units": units, "axes": axes, "dtype": dtype, "row": row}
+    return attribute(since, optional, **said)
 
 
 def error_of(measured, meaning="its standard error"):
@@ -47,6 +57,11 @@ def error_of(measured, meaning="its standard error"):
     facts = measured.metadata
     same = {name: facts[name] for name in ("since", "optional", "row")}
     return array(meaning, facts["units"], *facts["axes"], **same)
+
+
+def part(kind):
+    """Declare a record within a record, a group within its group, which may be missing."""
+    return dataclasses.field(default=None, metadata={"part": kind})
 
 
 def row_of(kind, without=(), **lengths):
@@ -69,28 +84,15 @@ def columns_of(kind, rows):
     return {name: rows[name].copy() for name in names if name in rows.dtype.names}
 
 
-def attribute_array(*along, since=1, optional=False):
-    """Declare a short array of real numbers: an attribute of its group."""
-    return attribute(since, optional, along=along, dtype=float)
+def axes_of(item, value, dimensions=None):
+    """Return the name of each axis of a field's array, in a lattice of so many dimensions.
 
-
-def attribute(since=1, optional=False, **said):
-    """Declare a plain value that files have since some version of their format, or may have."""
-    return dataclasses.field(
-        metadata=said | {"since": since, "optional": optional},
-        default=None if optional else dataclasses.MISSING,
-    )
-
-
-def part(kind):
-    """Declare a record within a record, a group within its group, which may be missing."""
-    return dataclasses.field(default=None, metadata={"part": kind})
-
-
-def axes_of(item, dimensions):
-    """Return the name of each axis of a field's array in a lattice of so many."""
-    names, space = [], SPACE[:dimensions]
-    for axis in item.metadata.get("along") or item.metadata["axes"] or (item.name,):
+    By default these follow from the shape of the value.
+    """
+    names = []
+    declared = item.metadata.get("along") or item.metadata["axes"] or (item.name,)
+    space = SPACE[: np.ndim(value) - len(declared) + 1 if dimensions is None else dimensions]
+    for axis in declared:
         if axis == "balls":
             names += space
         elif axis.startswith("bonds_"):
@@ -98,11 +100,6 @@ def axes_of(item, dimensions):
         else:
             names.append(axis)
     return names
-
-
-def dimensions_of(item, value):
-    """Return how many axes the lattice has by the shape of an array."""
-    return np.ndim(value) - max(len(item.metadata["axes"]), 1) + 1
 
 
 def plain_value(item, value):
@@ -146,20 +143,26 @@ class Record:
     group = within = None
     failures = 0
 
+    def filled(self):
+        """Yield the declaration and the value of each field that has one."""
+        for item in dataclasses.fields(self):
+            value = getattr(self, item.name)
+            if value is not None:
+                yield item, value
+
     def check(self, lattice_axes):
         """Raise a MisfitError unless every array has its declared axes, each as long everywhere.
 
         `lattice_axes` are the lengths of the lattice's axes by name.
         """
         lengths = dict(lattice_axes)
-        for item in dataclasses.fields(self):
-            value = getattr(self, item.name)
+        for item, value in self.filled():
             if isinstance(value, Record):
                 with in_part(value.group):
                     value.check(lattice_axes)
-            if value is None or not {"axes", "along"} & set(item.metadata):
+            if not {"axes", "along"} & set(item.metadata):
                 continue
-            names = axes_of(item, lengths.get("axis", 0))
+            names = axes_of(item, value, lengths.get("axis", 0))
             shape = tuple(map(lengths.setdefault, names, value.shape))
             if value.ndim != len(names) or value.shape != shape:
                 declared = ", ".join(f"{n}: {lengths.get(n, 'any')}" for n in names)
@@ -178,25 +181,22 @@ class Record:
                 "pip install xarray, or apt install python3-xarray"
             ) from None
         variables, attributes = {}, {}
-        for item in dataclasses.fields(self):
-            value, declared = getattr(self, item.name), item.metadata
-            if "axes" in declared and value is not None:
-                names = axes_of(item, dimensions_of(item, value))
-                meaning = {key: declared[key] for key in ("units", "long_name")}
-                variables[item.name] = xarray.Variable(names, value, meaning)
-            elif value is not None and not {"axes", "part"} & set(declared):
+        for item, value in self.filled():
+            if "axes" in item.metadata:
+                meaning = {key: item.metadata[key] for key in ("units", "long_name")}
+                variables[item.name] = xarray.Variable(axes_of(item, value), value, meaning)
+            elif "part" not in item.metadata:
                 attributes[item.name] = value
         return xarray.Dataset(variables, attrs=attributes)
 
     def __repr__(self):
         parts = []
-        for item in dataclasses.fields(self):
-            value = getattr(self, item.name)
+        for item, value in self.filled():
             if isinstance(value, Record):
                 parts.append(f"{item.name}: {type(value).__name__}")
             elif isinstance(value, np.ndarray):
                 parts.append(f"{item.name}: {value.dtype} {value.shape}")
-            elif value is not None:
+            else:
                 parts.append(f"{item.name}={reprlib.repr(value)}")
         return f"{type(self).__name__}({', '.join(parts)})"
 

@@ -1,4 +1,7 @@
-"""Text files line by line; columns of numbers: motions of the wall, what was measured."""
+"""Numbers in text files: line by line, in columns of a file, and the tables of a result."""
+
+import dataclasses
+import math
 
 import numpy as np
 
@@ -7,7 +10,10 @@ from pgran.store.paths import open_regular
 
 LONGEST_LINE = 2**16  # bytes
 LONGEST_FILE = 2**26  # bytes
+SEPARATORS = str.maketrans(",;", "  ")
 MEASURED = ("omega", "amplitude", "phase")  # omega: what a header may call frequency, too
+COLUMN_AXES = "detector_number", "axis"  # along these a table has columns, not rows
+SPACE_AXES = "balls", "bonds_"  # what arrays along these hold is a picture, no table
 
 
 def is_number(word):
@@ -78,8 +84,7 @@ def read_columns(path):
 
     A FileError names the line of what is no finite number.
     """
-    rows = _numbers(path, _lines(path), (1, 2), "one, or a time and one")
-    return np.array([row for _, row in rows])
+    return _numbers(path, _content(path), (1, 2), "one, or a time and one")
 
 
 def read_measured(path):
@@ -88,44 +93,113 @@ def read_measured(path):
     Two columns, `omega` (a frequency, in any unit) and `amplitude` relative to the drive, or three,
     `phase` in rad too. A header may name them in another order.
     """
-    lines, names, widths = _lines(path), MEASURED, (2, 3)
-    if lines and not any(map(is_number, lines[0][1])):
-        place, header, _ = lines.pop(0)
-        names = [word.strip("\"'").lower().replace("frequency", "omega") for word in header]
+    lines, names, widths = _content(path), MEASURED, (2, 3)
+    meaning = "frequency, amplitude and maybe phase"
+    if lines and not any(map(is_number, _words(lines[0][1]))):
+        place, header = lines.pop(0)
+        names = [word.strip("\"'").lower() for word in _words(header)]
+        names = [name.replace("frequency", "omega") for name in names]
         widths = (len(names),)
         if sorted(names) not in (sorted(MEASURED), sorted(MEASURED[:2])):
-            raise FileError(f"{place}: a header names frequency, amplitude and maybe phase")
-    rows = _numbers(path, lines, widths, "frequency, amplitude and maybe phase, as the first one")
-    columns = dict(zip(names, np.transpose([row for _, row in rows]), strict=False))
+            raise FileError(f"{place}: a header names {meaning}")
+    numbers = _numbers(path, lines, widths, f"{meaning}, as the first one")
+    columns = dict(zip(names, numbers.T, strict=False))
     for name in MEASURED[:2]:
-        if (wrong := np.flatnonzero(columns[name] <= 0)).size:
-            raise FileError(f"{rows[wrong[0]][0]}: {name} {columns[name][wrong[0]]:g} is not > 0")
+        for row in np.flatnonzero(columns[name] <= 0)[:1]:
+            raise FileError(f"{lines[row][0]}: {name} {columns[name][row]:g} is not > 0")
     return columns
 
 
-def _lines(path):
-    """Return of each line that is not empty its place, its words, and itself."""
+def _content(path):
+    """Return the place and the text of each line that is not empty."""
     with open_regular(path, what="a file of numbers", most=LONGEST_FILE) as stream:
         lines = Lines(path, stream)
-        blanks = str.maketrans(",;", "  ")
-        return [
-            (f"{path}:{lines.number}", line.translate(blanks).split(), repr(line[:60]))
-            for line in iter(lines.next_content, None)
-        ]
+        return [(f"{path}:{lines.number}", line) for line in iter(lines.next_content, None)]
+
+
+def _words(line):
+    """Return the words of a line, parted by commas, semicolons or blanks."""
+    return line.translate(SEPARATORS).split()
 
 
 def _numbers(path, lines, widths, meaning):
-    """Return of each line its place, and as many finite numbers as the first one has."""
+    """Return the numbers of all lines, as many and as finite in each as in the first."""
     rows = []
-    for place, words, line in lines:
+    for place, line in lines:
+        words = _words(line)
         if not all(map(is_number, words)):
-            raise FileError(f"{place}: {line} is no number; begin comments with #")
+            raise FileError(f"{place}: {line[:60]!r} is no number; begin comments with #")
         row = [float(word) for word in words]
-        if not np.all(np.isfinite(row)):
-            raise FileError(f"{place}: {line} is not finite; fill the gap, or leave its end away")
-        if len(row) != len(rows[0][1] if rows else row) or len(row) not in widths:
+        if not all(map(math.isfinite, row)):
+            why = "is not finite; fill the gap, or leave its end away"
+            raise FileError(f"{place}: {line[:60]!r} {why}")
+        if len(row) not in widths or len(row) != len(rows[0] if rows else row):
             raise FileError(f"{place}: numbers: {len(row)}; each line has {meaning}")
-        rows.append((place, row))
+        rows.append(row)
     if not rows:
         raise FileError(f"{path}: holds no numbers")
-    return rows
+    return np.array(rows)
+
+
+def tables(result):
+    """Return the tables of a result: columns by their names.
+
+    Of each record but the medium's all arrays along the same axes make a table: a row for each
+    place along them, first what is there (`omega`, or a number from 0), then the arrays, of each
+    detector a column: `amplitude_8_10`, `amplitude_17`. Group and axes name the tables but the
+    first, "", of the scene's own record if it has one. A FileError says if there is none.
+    """
+    scene = str(result.scene)
+    groups = [group for group in result.records if group not in ("lattice", "network")]
+    named = {}
+    for group in sorted(groups, key=lambda group: group != scene):  # the scene's own first
+        for number, (axes, columns) in enumerate(_tables_of(result.records[group]).items()):
+            name = [group] * (group != scene) + [*axes] * (number > 0)
+            named["-".join(name) if named else ""] = columns
+    if not named:
+        raise FileError(f"no table in this result (scene {scene})")
+    return named
+
+
+def _tables_of(record):
+    """Return the tables of a record by the axes of their rows, those of fewer axes first."""
+    declared = {
+        item.name: item.metadata["axes"]
+        for item in dataclasses.fields(record)
+        if "axes" in item.metadata
+    }
+    used = {axis for axes in declared.values() for axis in axes}
+    found = {}
+    for name, axes in declared.items():
+        values, axes = getattr(record, name), axes or (name,)
+        in_space = any(axis.startswith(SPACE_AXES) for axis in axes)
+        if values is None or name in used or in_space or axes == COLUMN_AXES:
+            continue
+        # displacement (omega, detector_number): a row each omega, a column each detector
+        rows = tuple(axis for axis in axes if axis not in COLUMN_AXES)
+        values = np.moveaxis(values, [axes.index(axis) for axis in rows], range(len(rows)))
+        if rows not in found:
+            places = [
+                getattr(record, axis) if declared.get(axis) == () else np.arange(length)
+                for axis, length in zip(rows, values.shape, strict=False)
+            ]
+            grids = np.meshgrid(*places, indexing="ij")
+            found[rows] = dict(zip(rows, map(np.ravel, grids), strict=True))
+        if declared[name]:
+            aside = [axis for axis in axes if axis not in rows]
+            labels = _labels(record, name, aside, values.shape[len(rows) :])
+            columns = values.reshape(math.prod(values.shape[: len(rows)]), len(labels)).T
+            found[rows] |= dict(zip(labels, columns, strict=True))
+    filled = {rows: columns for rows, columns in found.items() if len(columns[rows[0]])}
+    return dict(sorted(filled.items(), key=lambda table: len(table[0])))
+
+
+def _labels(record, name, axes, shape):
+    """Return the names of an array's columns, one for each place along the axes that have them."""
+    labels = [name]
+    for axis, length in zip(axes, shape, strict=True):
+        sites = np.arange(length)[:, None]
+        if axis == "detector_number":
+            sites = record.detector
+        labels = ["_".join(map(str, [label, *site])) for label in labels for site in sites.tolist()]
+    return labels

@@ -33,7 +33,6 @@ from pgran.errors import PgranError
 from pgran.medium.bonds import bond_shape
 from pgran.medium.bonds_file import read_bonds
 from pgran.run.options import read_file
-from pgran.store import careful as hdf5
 from pgran.store import file as store
 
 SECONDS = 30  # for one case; a real run is given twice as long
@@ -48,7 +47,7 @@ def limit():
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.alarm(SECONDS)
-    hdf5.SECONDS = SECONDS / 3
+    store.SECONDS = SECONDS / 3
 
 
 def outcome(task, case):
