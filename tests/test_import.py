@@ -20,7 +20,7 @@ from packing_samples import (
 
 import pgran
 from pgran.errors import InputError
-from pgran.foreign import laws
+from pgran.foreign.contacts import power_of
 from pgran.medium import packing
 from pgran.medium.conditions import choose
 from pgran.medium.network_file import read_network
@@ -131,7 +131,7 @@ def test_a_law_of_forces_that_scatter(noise):
     rng = np.random.default_rng(1)
     h = 10 ** rng.uniform(-4, -2.5, 400)
     F = h**1.5 * np.exp(noise * rng.standard_normal(400))
-    power, far, clear, words = laws.power_of(F, h, 1e-6 * h, (np.ones(1),))
+    power, far, clear, words = power_of(F, h, 1e-6 * h, (np.ones(1),))
     assert abs(power - 1.5) < min(far, 0.1 + noise)
     assert ("--law harmonic fits" in words, clear.all()) == (False, True)
 

@@ -10,11 +10,10 @@ import numpy as np
 
 from pgran.command.words import Parser, magnitude, positive
 from pgran.errors import DONE, InputError
-from pgran.foreign import contacts
 from pgran.foreign.assemble import assemble
 from pgran.foreign.contacts import AXES, read_balls
 from pgran.foreign.recognise import read_contacts
-from pgran.foreign.tables import read_table
+from pgran.foreign.tables import read_graph, read_table
 from pgran.medium.checks import KINDS
 from pgran.medium.network_file import check_output, write_network
 from pgran.medium.springs import DRIVEN, FREE
@@ -38,10 +37,13 @@ def run(words):
     _check(options)
     check_output(options.output, options.overwrite)
     with np.errstate(all="ignore"):  # of absurd numbers in a file: what comes of them is checked
-        contacts, names = _read(options)
-        made = assemble(contacts, options)
-        if names is not None and not np.array_equal(names, contacts.balls.id.astype(str)):
-            made.members["id"] = np.char.encode(names, "utf-8")[made.kept.balls]
+        names = None  # of a graph's nodes
+        if options.contacts is None:
+            nodes, edges, names = read_graph(options.balls)
+        else:
+            nodes, edges = read_table(options.balls), read_table(options.contacts)
+        contacts = read_contacts(edges, read_balls(nodes), options.columns)
+        made = assemble(contacts, options, names)
         network = made.network()
         cautions = [*_cautions(network, made, contacts, options)]
     write_network(options.output, made.members, made.attributes, options.overwrite)
@@ -87,7 +89,7 @@ def _parser():
 
 
 def _direction(text):
-    """Return the components of a direction."""
+    """Return the name of an axis, or the components of a direction."""
     if text in tuple(AXES):
         return text
     with contextlib.suppress(ValueError):
@@ -111,25 +113,17 @@ def _check(options):
         raise InputError(f"{missing}one GraphML file holds both, dumps and CSV are two")
 
 
-def _read(options):
-    """Return the contacts between the balls in the files, and the names of nodes of a graph."""
-    if options.contacts is None:
-        nodes, edges, names = contacts.read_graph(options.balls)
-        return read_contacts(edges, read_balls(nodes), options.columns), np.array(names)
-    balls = read_balls(read_table(options.balls))
-    return read_contacts(read_table(options.contacts), balls, options.columns), None
-
-
 def _cautions(network, made, contacts, options):
     """Say what speaks against the stiffness, or against the rest, of a packing."""
     if not network.held.any():
         yield "no ball is held: the network floats and cannot be driven; see --rest and --drive"
-    (stiffness, error), (power, far, clear, words) = made.stiffness, contacts.power
-    taken = np.median((stiffness * contacts.overlap / contacts.force)[clear]) if words else power
-    if abs(taken - power) > far:
-        yield f"the stiffness is {taken:.3g} F/h by {options.law or 'its column'}, but {words}"
-    if error > UNSURE:
-        yield f"the digits of overlaps leave a stiffness open by up to {error:.1g} of it; " \
+    power, far, clear, words = contacts.power
+    if words:  # something tells the power
+        taken = np.median((made.stiffness * contacts.overlap / contacts.force)[clear])
+        if abs(taken - power) > far:
+            yield f"the stiffness is {taken:.3g} F/h by {options.law or 'its column'}, but {words}"
+    if made.error > UNSURE:
+        yield f"the digits of overlaps leave a stiffness open by up to {made.error:.1g} of it; " \
             "dump_modify ID format float %.16g prints more of them"  # fmt: skip
     if made.unbalanced is not None and made.unbalanced > BALANCED:
         yield f"forces leave {made.unbalanced:.2g} of the mean one on a free ball: gravity, " \
@@ -138,10 +132,8 @@ def _cautions(network, made, contacts, options):
 
 def _summary(network, made, contacts, options):
     """Say in a few lines what has been written, what was left out, and what to do next."""
-    kept, members, kind = made.kept, made.members, network.displacement
-    free, rest, driven = np.bincount(network.held, minlength=3)
-    yield f"{options.output}: {counted(free, 'free ball')}, {rest} at rest, {driven} driven; " \
-        f"{counted(len(network.bond), 'contact')}"  # fmt: skip
+    kept, kind = made.kept, network.displacement
+    yield balls_of(network, options.output)
     moves = {"vector": "vectors", "rotations": "vectors and rotations"}.get(kind, kind)
     plane = f" in {network.axes} dimensions, driven along {_words(network.direction)}"
     yield f"displacements: {moves}{'' if kind == 'scalar' else plane}"
@@ -163,27 +155,34 @@ def _summary(network, made, contacts, options):
     yield f"left out: {'; '.join(texts) or 'nothing'}"
     if options.cut:
         yield f"cut: {counted(made.cut, 'contact')} across {' and '.join(options.cut)}"
-    k, law = members["stiffness"], options.law or contacts.roles["stiffness"]
+    k, law = network.stiffness, options.law or contacts.roles["stiffness"]
     formula = {"hertz": "hertz, 3/2 F/h", "harmonic": "harmonic, F/h"}.get(law, f"column {law}")
     if options.hertz is not None:
         formula = f"hertz, 3/2 c^(2/3) F^(1/3) with c = {options.hertz:g}"
-    if made.stiffness[1]:
-        formula += f", each to {made.stiffness[1]:.1g} by the digits"
+    if made.error:
+        formula += f", each to {made.error:.1g} by the digits"
     yield f"stiffness: {formula}; {k.min():.4g} to {k.max():.4g}; {contacts.power[-1]}".rstrip("; ")
     if not contacts.balls.weighed:
         yield "masses: all 1, as the balls have no column mass, or density and radius"
     yield f"omega_mx {network.omega_mx:.4g}, by the stiffest contact, {network.kmax:.4g}, and " \
         f"the median mass, {network.mass:.4g}, of the whole packing, whatever is held"  # fmt: skip
     if made.unbalanced is not None:
-        stress = "are pre-stress" if "force" in members else "are not kept as pre-stress"
-        yield f"forces {stress}; the largest unbalanced one on a free ball is " \
+        stress = "are not kept as" if network.force is None else "are"
+        yield f"forces {stress} pre-stress; the largest unbalanced one on a free ball is " \
             f"{made.unbalanced:.2g} of the mean contact force"  # fmt: skip
     yield _rigidity(network)
     yield next_step(network, options.output)
     ball = middle(network)
-    name = members["id"][ball]
+    name = made.members["id"][ball]
     name = name.decode() if isinstance(name, bytes) else name
     yield f"(ball {ball}, of the id {name}, is free and in the middle; /network/id has all ids)"
+
+
+def balls_of(network, path):
+    """Say which balls and contacts of a network are in a file."""
+    free, rest, driven = np.bincount(network.held, minlength=3)
+    balls = f"{counted(free, 'free ball')}, {rest} at rest, {driven} driven"
+    return f"{path}: {balls}; {counted(network.bonds, 'contact')}"
 
 
 def next_step(network, path):
@@ -209,11 +208,10 @@ def _rigidity(network):
     text = f"contacts per free ball: {contacts.mean():.4g}"
     if network.displacement == "scalar":
         return text
-    springs = len(network.bond) * (1 if network.tangential is None else network.axes)
-    unknowns = network.size
-    more = "more" if springs >= unknowns else "fewer"
-    text += f"; {springs} springs for {unknowns} unknowns, {abs(springs - unknowns)} {more} than " \
-        "isostatic"  # fmt: skip
+    springs = network.bonds * (1 if network.tangential is None else network.axes)
+    excess = springs - network.size
+    text += f"; {springs} springs for {network.size} unknowns, {abs(excess)} " \
+        f"{'fewer' if excess < 0 else 'more'} than isostatic"  # fmt: skip
     loose = np.count_nonzero(contacts <= network.axes)
     few = f"; {counted(loose, 'ball')} with {network.axes} contacts or fewer"
     return text + (few if loose else "")

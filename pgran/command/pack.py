@@ -8,7 +8,7 @@ import numpy as np
 from pgran.balance.networks import floor
 from pgran.balance.ordered import DIAGONAL, ordered
 from pgran.balance.pack import packed_network
-from pgran.command.imports import next_step
+from pgran.command.imports import balls_of, next_step
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE, InputError
 from pgran.medium.network_file import check_output, parts_of, write_network
@@ -85,9 +85,7 @@ def _named(text):
 
 def _summary(output, network, packing, packed):
     """Say in a few lines what has been made, how well it balances, and what to do next."""
-    free, rest, driven = np.bincount(network.held, minlength=3)
-    yield f"{output}: {counted(free, 'free ball')}, {rest} at rest, {driven} driven; " \
-        f"{counted(network.bonds, 'contact')}"  # fmt: skip
+    yield balls_of(network, output)
     if network.power is None:
         diagonals = np.count_nonzero(network.distance > DIAGONAL * network.distance.min())
         yield f"these are on a lattice, {diagonals} along diagonals; of the packing itself:"

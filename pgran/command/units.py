@@ -29,17 +29,17 @@ def run(words):
         damping = _damping(options, scale)
         if damping is not None and not math.isfinite(scale.own_damping(damping)):
             raise OverflowError
-        rows, line = table(scale, damping, options.growth), option_words(scale, damping)
-        bed = options.fraction, options.contacts
-        packing = packing_words(scale, bed, damping, options.growth)
+        rows = _table(scale, damping, options.growth)
+        commands = _commands(scale, options, damping)
     except (OverflowError, ZeroDivisionError):
         raise InputError("units: these numbers are too far apart to compute with") from None
     if scale.contact_radius > hertz.LARGE:
         text = "a contact has %.2g of a ball's radius: Hertz's law is for small contacts"
         log.warning(text, scale.contact_radius)
-    for name, si, own in rows:
-        print(f"{name:<37}{si:<22}{own}".rstrip())
-    print(f"\n{line}\n{packing}")
+    print(f"{'':<37}{'SI':<22}program's units")
+    for name, number, unit, *own in rows:
+        print(f"{name:<37}{f'{number:.4g} {unit}':<22}{''.join(own)}".rstrip())
+    print(f"\n{commands}")
     return DONE
 
 
@@ -114,67 +114,67 @@ def _damping(options, scale):
     return hertz.damping_of_restitution(scale.stiffness, scale.mass, options.restitution)
 
 
-def table(scale, damping=None, growth=None):
-    """Return rows of a quantity, its value in SI units, as damping is, and in the program's."""
+def _table(scale, damping, growth):
+    """Return rows of a quantity, its number and unit in SI, and its number in the program's."""
     material, omega = scale.material, scale.omega_mx
     weights = scale.force / (scale.mass * GRAVITY)
     rows = [
-        ("", "SI", "program's units"),
-        ("Young's modulus", f"{material.modulus:.4g} Pa", ""),
-        ("Poisson's ratio", f"{material.poisson:.4g}", ""),
-        ("density", f"{material.density:.4g} kg/m^3", ""),
-        ("diameter of a ball = spacing", f"{scale.diameter:.4g} m", "1"),
-        ("mass of a ball", f"{scale.mass:.4g} kg", "1"),
-        ("c of F = c h^(3/2)", f"{scale.constant:.4g} N/m^1.5", ""),
-        ("force of the strongest contacts", f"{scale.force:.4g} N",
+        ("Young's modulus", material.modulus, "Pa"),
+        ("Poisson's ratio", material.poisson, ""),
+        ("density", material.density, "kg/m^3"),
+        ("diameter of a ball = spacing", scale.diameter, "m", "1"),
+        ("mass of a ball", scale.mass, "kg", "1"),
+        ("c of F = c h^(3/2)", scale.constant, "N/m^1.5"),
+        ("force of the strongest contacts", scale.force, "N",
          f"({weights:.3g} x the weight of a ball)"),
-        ("mean force, stiffness on [0, kmax]", f"{scale.force / hertz.STRONGEST:.4g} N", ""),
-        ("overlap h", f"{scale.overlap:.4g} m", f"{scale.overlap / scale.diameter:.3g}"),
-        ("stiffness kmax = 3/2 F/h", f"{scale.stiffness:.4g} N/m", f"{scale.kmax:.4g}"),
-        (f"omega_mx = sqrt({2 * scale.dimensions} kmax/m)", f"{omega:.4g} rad/s", "1"),
-        ("frequency omega_mx/(2 pi)", f"{omega / (2 * math.pi):.4g} Hz", ""),
-        ("time 1/omega_mx", f"{1 / omega:.4g} s", "1"),
-        ("long waves, all bonds kmax", f"{scale.velocity:.4g} m/s", f"{math.sqrt(scale.kmax):.4g}"),
+        ("mean force, stiffness on [0, kmax]", scale.force / hertz.STRONGEST, "N"),
+        ("overlap h", scale.overlap, "m", f"{scale.overlap / scale.diameter:.3g}"),
+        ("stiffness kmax = 3/2 F/h", scale.stiffness, "N/m", f"{scale.kmax:.4g}"),
+        (f"omega_mx = sqrt({2 * scale.dimensions} kmax/m)", omega, "rad/s", "1"),
+        ("frequency omega_mx/(2 pi)", omega / (2 * math.pi), "Hz"),
+        ("time 1/omega_mx", 1 / omega, "s", "1"),
+        ("long waves, all bonds kmax", scale.velocity, "m/s", f"{math.sqrt(scale.kmax):.4g}"),
     ]  # fmt: skip
     if scale.dimensions > 1:
         speed, own = scale.random_velocity, scale.diameter * omega
-        rows.append(("long waves, bonds on [0, kmax]", f"{speed:.4g} m/s", f"{speed / own:.4g}"))
+        rows.append(("long waves, bonds on [0, kmax]", speed, "m/s", f"{speed / own:.4g}"))
     if damping is not None:
         restitution = hertz.restitution_of_damping(scale.stiffness, scale.mass, damping)
         quality = scale.stiffness / (damping * omega) if damping else math.inf
         rows += [
-            ("damping beta", f"{damping:.4g} kg/s", f"{scale.own_damping(damping):.4g}"),
-            ("quality factor at omega_mx", f"{quality:.4g}", ""),
-            ("restitution of two balls", f"{restitution:.4g}", ""),
+            ("damping beta", damping, "kg/s", f"{scale.own_damping(damping):.4g}"),
+            ("quality factor at omega_mx", quality, ""),
+            ("restitution of two balls", restitution, ""),
         ]
     if growth is not None:
         part = growth / scale.overlap  # with its neighbours where they are; k goes like sqrt(h)
         rows += [
-            ("growth dR of a ball", f"{growth:.4g} m", f"{growth / scale.diameter:.3g}"),
-            ("dR/h of its contacts", f"{part:.4g}", ""),
-            ("dk/k, its neighbours held", f"{math.sqrt(1 + part) - 1:.4g}", ""),
+            ("growth dR of a ball", growth, "m", f"{growth / scale.diameter:.3g}"),
+            ("dR/h of its contacts", part, ""),
+            ("dk/k, its neighbours held", math.sqrt(1 + part) - 1, ""),
         ]
     return rows
 
 
-def option_words(scale, damping=None):
-    """Return what an options file needs for a lattice in these units."""
-    words = f"-lattice_mass 1 -bonds_kmax {scale.kmax!r}"
-    if damping is not None:
-        words += f" -lattice_damping {scale.own_damping(damping)!r}"
-    return f"{words} -units_length {scale.diameter!r} -units_time {1 / scale.omega_mx!r}"
+def _commands(scale, options, damping):
+    """Return what an options file needs for a lattice in these units, and commands for a packing.
 
-
-def packing_words(scale, bed, damping=None, growth=None):
-    """Return commands that pack these balls, under the mean force, and run the packing."""
+    They pack these balls, under the mean force, and run the packing.
+    """
+    lattice = f"-lattice_mass 1 -bonds_kmax {scale.kmax!r}"
     force, time = scale.packed
-    pressure = hertz.pressure_of_force(scale.force / hertz.STRONGEST / force, 1.0, *bed)
+    mean = scale.force / hertz.STRONGEST / force
+    pressure = hertz.pressure_of_force(mean, 1.0, options.fraction, options.contacts)
     scene = "packing_modes.opts"
-    if growth is not None:
+    if options.growth is not None:
         scene = "heater_packing.opts -drive_balls 0 -detectors 100 "
-        scene += f"-heat_radius {growth / scale.diameter!r}"
+        scene += f"-heat_radius {options.growth / scale.diameter!r}"
     if damping is not None:
+        lattice += f" -lattice_damping {scale.own_damping(damping)!r}"
         scene += f" -network_damping {damping * time / scale.mass!r}"
-    words = f"{PACK} --pressure {pressure!r} -o {PACKED} && pgran run options/{scene}"
-    units = f"-units_length {scale.diameter!r} -units_time {time!r}"
-    return f"{words} -network_file {PACKED} {units}"
+    length = f"-units_length {scale.diameter!r}"
+    return (
+        f"{lattice} {length} -units_time {1 / scale.omega_mx!r}\n"
+        f"{PACK} --pressure {pressure!r} -o {PACKED} && pgran run options/{scene} "
+        f"-network_file {PACKED} {length} -units_time {time!r}"
+    )

@@ -19,14 +19,15 @@ class Imported:
     """What is written of a packing, and what was left out.
 
     Not among the contacts are those of balls `apart`, those listed `twice`, and those `cut`; of the
-    others `kept` says what can vibrate. `stiffness` is what `Contacts.stiffness` returns,
-    `unbalanced` the largest total force on a free ball.
+    others `kept` says what can vibrate. `error` is the largest part that digits leave open of a
+    stiffness, `unbalanced` the largest total force on a free ball.
     """
 
     members: dict
     attributes: dict
     kept: packing.Kept
-    stiffness: tuple
+    stiffness: np.ndarray  # of all contacts in the file
+    error: float
     apart: int
     twice: int
     cut: int
@@ -39,19 +40,23 @@ class Imported:
         return Network(**values, **self.attributes)
 
 
-def assemble(contacts, options):
-    """Return the network of contacts, as options say: what touches and hangs together uncut."""
+def assemble(contacts, options, names=None):
+    """Return the network of contacts, as options say: what touches and hangs together uncut.
+
+    `names` are those of a graph's nodes, for which balls without numbers are known.
+    """
     balls = contacts.balls
     kind = options.displacement or ("vector" if balls.axes else "scalar")
     if kind != "scalar" and not balls.axes:
         raise InputError(f"--displacement {kind} needs positions of the balls")
     if kind == "rotations" and balls.radius is None:
         raise InputError("--displacement rotations needs radii of the balls")
-    known = stiffness, _ = contacts.stiffness(options.law, options.hertz)
+    stiffness, error = contacts.stiffness(options.law, options.hertz)
     touch = stiffness != 0
-    once = touch & _first_of_each(contacts, stiffness, touch)
+    once = _listed_once(contacts, stiffness)
     across = _crossing(contacts, options.cut)
-    held = _held(balls, options)
+    held = np.full(len(balls.id), FREE) if balls.held is None else balls.held
+    held = hold(held, balls.id, balls.column, rest=options.rest, drive=options.drive)
     index = np.flatnonzero(once)  # of contacts in the file: all that could be kept
     kept = packing.keep(contacts.bond[index], held, across[index])
     rows = index[kept.contacts]
@@ -65,17 +70,23 @@ def assemble(contacts, options):
             why = f"these balls are {lengths[row]:.6g} apart, and half a period is {half:.6g}"
             contacts.table.refuse(row, f"{why}: the box is too small to tell their images apart")
 
+    def kept_of(values):
+        """Return what values of balls are of those that are kept; None stays None."""
+        return None if values is None else values[kept.balls]
+
     number = np.cumsum(kept.balls) - 1  # of a ball, once others are left out
-    bond, held = number[contacts.bond[rows]], held[kept.balls]
+    bond, free = number[contacts.bond[rows]], held[kept.balls] == FREE
     members = {
-        "position": None if balls.position is None else balls.position[kept.balls],
-        "mass": balls.mass[kept.balls],
-        "held": held,
+        "position": kept_of(balls.position),
+        "mass": kept_of(balls.mass),
+        "held": kept_of(held),
         "bond": bond,
-        "radius": None if balls.radius is None else balls.radius[kept.balls],
+        "radius": kept_of(balls.radius),
         "stiffness": stiffness[rows],
-        "id": balls.id[kept.balls],
+        "id": kept_of(balls.id),
     }
+    if names is not None and names != [*map(str, balls.id)]:
+        members["id"] = kept_of(np.char.encode(names, "utf-8"))
     attributes = {
         "displacement": kind,
         "damping": options.damping,
@@ -86,7 +97,7 @@ def assemble(contacts, options):
     normal, force = contacts.normal, contacts.force
     ratio = None
     if normal is not None and force is not None:
-        ratio = packing.unbalanced(bond, normal[rows], force[rows], held == FREE)
+        ratio = packing.unbalanced(bond, normal[rows], force[rows], free)
     if kind != "scalar":
         members |= {"normal": normal[rows], "distance": contacts.distance[rows]}
         if options.prestress and force is None:
@@ -105,24 +116,23 @@ def assemble(contacts, options):
     if balls.axes:
         cut = np.isin(list(AXES[: balls.axes]), list(options.cut or ""))
         attributes["box"] = np.where(np.isfinite(balls.periods) & ~cut, balls.periods, 0.0)
-    left_out = (~touch, touch & ~once, across & once)
-    return Imported(members, attributes, kept, known, *map(np.count_nonzero, left_out), ratio)
+    left_out = map(np.count_nonzero, (~touch, touch & ~once, across & once))
+    return Imported(members, attributes, kept, stiffness, error, *left_out, ratio)
 
 
-def _first_of_each(contacts, stiffness, touch):
-    """Return which contacts are the first of the same two balls; those listed again must agree."""
-    low, high = np.sort(contacts.bond, axis=1).T
-    # contacts that touch come first, those of the same two balls together, in the file's order
-    order = np.lexsort((np.arange(len(low)), high, low, ~touch))
-    order = order[: np.count_nonzero(touch)]
-    again = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
-    one, other = stiffness[order[:-1]], stiffness[order[1:]]
-    differ = np.zeros(len(low), dtype=bool)
-    differ[order[1:]] = again & ~(np.abs(one - other) <= SAME * np.abs(one))
+def _listed_once(contacts, stiffness):
+    """Return which contacts touch, of the same two balls the first; the others must agree."""
+    rows = np.flatnonzero(stiffness)
+    low, high = np.sort(contacts.bond[rows], axis=1).T
+    pair = low * len(contacts.balls.id) + high  # a number for each two balls
+    _, first, which = np.unique(pair, return_index=True, return_inverse=True)
+    expected = stiffness[rows[first[which]]]
+    differ = np.zeros(len(stiffness), dtype=bool)
+    differ[rows] = ~(np.abs(stiffness[rows] - expected) <= SAME * np.abs(expected))
     contacts.table.refuse_any(differ, "these balls touch twice, with different stiffness")
-    first = np.ones(len(low), dtype=bool)
-    first[order[1:][again]] = False
-    return first
+    once = np.zeros(len(stiffness), dtype=bool)
+    once[rows[first]] = True
+    return once
 
 
 def _crossing(contacts, cut):
@@ -131,14 +141,8 @@ def _crossing(contacts, cut):
     for axis in map(AXES.index, cut or ""):
         if axis >= contacts.balls.axes or not np.isfinite(contacts.balls.periods[axis]):
             raise InputError(f"--cut {AXES[axis]}: the packing is not periodic along {AXES[axis]}")
-        across |= contacts.crossing[:, axis]
+        across |= contacts.images[1][:, axis]
     return across
-
-
-def _held(balls, options):
-    """Return which balls are free, at rest, driven: as the file says, and then --rest, --drive."""
-    held = np.full(len(balls.id), FREE) if balls.held is None else balls.held
-    return hold(held, balls.id, balls.column, rest=options.rest, drive=options.drive)
 
 
 def _components(direction, axes):

@@ -1,4 +1,4 @@
-"""Balls and contacts in other programs' tables and GraphML files, checked by the geometry.
+"""Balls and contacts in other programs' tables, checked by the geometry, and the law of contacts.
 
 What a column holds follows from its name, here; without one, from its numbers: `recognise`.
 """
@@ -9,15 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from pgran.arguments import meant, nearest
-from pgran.errors import FileError, InputError, PgranError
-from pgran.foreign import laws
+from pgran.errors import InputError
 from pgran.foreign.tables import Table
 from pgran.medium import packing
-from pgran.store.paths import open_regular
-from pgran.store.text import is_number
 
 AXES = "xyz"
-PRINTED = 1e-5  # lengths may differ by this part of the packing: dumps print six digits
+ROUNDING = 1e-5  # by this part of the packing lengths may differ: dumps print six digits
 # What a contact has, its role, and what the column may be called in a file.
 ROLES = {
     "id1": ("id1", "i", "source"),
@@ -31,6 +28,12 @@ ROLES = {
     "stiffness": ("stiffness", "weight"),
     "tangential": ("tangential",),
 }
+# The law of contacts is found of those that tell it, and taken where most obey it.
+MISFIT, OBEYING = 2.0, 0.9  # errors of an overlap by a law, and the part of the contacts within
+CLEAR, FEWEST = 10.0, 9  # errors that an overlap must have to tell the power, and how many do,
+SHORTEST_RANGE = 0.5  # unless their logarithms lie as near to each other
+EXACT = 1e-8  # of an overlap: errors that need no law
+POWER_GAP = 0.1  # of two powers that differ, beyond three standard errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +61,7 @@ class Balls:
     @property
     def tolerance(self):
         """By how much lengths may differ that were printed with six digits."""
-        return PRINTED * float(np.abs(self.position).max() + np.ptp(self.position, axis=0).max())
+        return ROUNDING * float(np.abs(self.position).max() + np.ptp(self.position, axis=0).max())
 
     def column(self, name):
         """Return numbers to choose balls by: a coordinate in the box, or a column of the file."""
@@ -96,10 +99,8 @@ def read_balls(table):
 
 
 def _positions(table):
-    """Return positions in the box, and its periods; of two axes where all balls have the same z.
-
-    LAMMPS prints coordinates as x, unwrapped as xu, in units of the box as xs, or both as xsu.
-    """
+    """Return positions in the box, and its periods; of two axes where all balls have the same z."""
+    # LAMMPS prints coordinates as x, unwrapped as xu, in units of the box as xs, or both as xsu
     ending = next((end for end in ("", "u", "s", "su") if f"x{end}" in table), None)
     if ending is None:
         if isinstance(table.places, list):  # a graph may lie nowhere
@@ -123,6 +124,18 @@ def _positions(table):
     return position, periods
 
 
+def bonds_of(table, one, other, balls):
+    """Return the rows of the balls whose ids two columns hold, shape (nb, 2)."""
+    bonds, order = [], np.argsort(balls.id)
+    for ids in map(table.integers, (one, other)):
+        # the row that each id would have in a sorted list, which is its ball's only if it is there
+        rows = order[np.searchsorted(balls.id[order], ids).clip(max=len(order) - 1)]
+        unknown = balls.id[rows] != ids
+        table.refuse_any(unknown, lambda row, ids=ids: f"no ball {ids[row]} in {balls.table.path}")
+        bonds.append(rows)
+    return np.stack(bonds, axis=1)
+
+
 @dataclass(frozen=True, eq=False)
 class Contacts:
     """The contacts in a table: the rows of their two balls, shape (nb, 2), and what columns hold.
@@ -140,21 +153,16 @@ class Contacts:
         return self.table.numbers(self.roles[role]) if role in self.roles else None
 
     @cached_property
-    def _away(self):
-        """Vectors from the first ball to the second, and whether they lead through an end."""
+    def images(self):
+        """Vectors from the first ball to the second, (nb, d), and through which ends they lead."""
         position = self.balls.position
         away = position[self.bond[:, 1]] - position[self.bond[:, 0]]
         return packing.nearest_images(away, self.balls.periods)
 
-    @property
-    def crossing(self):
-        """Whether each leads through an end of the box, along each axis, shape (nb, d)."""
-        return self._away[1]
-
     @cached_property
     def lengths(self):
         """Distances by the positions, shape (nb,); of balls at one place there is no normal."""
-        lengths = np.linalg.norm(self._away[0], axis=1)
+        lengths = np.linalg.norm(self.images[0], axis=1)
         odd = ~((lengths > 0) & (lengths < np.inf))
         self.table.refuse_any(odd, lambda row: f"these balls are {lengths[row]} apart")
         return lengths
@@ -162,7 +170,7 @@ class Contacts:
     @property
     def normal(self):
         """From the first ball to the second, shape (nb, d); None without positions."""
-        return self._away[0] / self.lengths[:, None] if self.balls.axes else None
+        return self.images[0] / self.lengths[:, None] if self.balls.axes else None
 
     @cached_property
     def distance(self):
@@ -183,7 +191,7 @@ class Contacts:
         """Return what the file says, if anything, once it is what follows from the balls."""
         if printed is None:
             return computed
-        limit = self.balls.tolerance if self.balls.axes else PRINTED * np.abs(computed).max()
+        limit = self.balls.tolerance if self.balls.axes else ROUNDING * np.abs(computed).max()
         self.table.refuse_any(
             ~(np.abs(printed - computed) <= limit),
             lambda row: f"the {name} is {printed[row]:.6g}, but {computed[row]:.6g} by the balls: "
@@ -203,7 +211,7 @@ class Contacts:
         if force is None:
             return along
         self.table.refuse_any(
-            ~(np.abs(along - force) <= PRINTED * np.abs(force).max()),
+            ~(np.abs(along - force) <= ROUNDING * np.abs(force).max()),
             lambda row: f"the force is {force[row]:.6g}, but {along[row]:.6g} by its components",
         )
         return force
@@ -215,7 +223,7 @@ class Contacts:
 
     @cached_property
     def _measured(self):
-        """Forces, overlaps, their errors by the printed digits, and scales: what `laws` takes."""
+        """Forces, overlaps, their errors by the printed digits, and scales: see `power_of`."""
         radii = [] if self.balls.radius is None else [*self.balls.radius[self.bond].T]
         if "overlap" in self.roles:
             lengths = [self.overlap]
@@ -228,9 +236,9 @@ class Contacts:
 
     @cached_property
     def power(self):
-        """What `laws.power_of` says, without words where forces or overlaps are unknown."""
+        """What `power_of` says, without words where forces or overlaps are unknown."""
         known = self.force is not None and self.overlap is not None
-        return laws.power_of(*self._measured) if known else (np.nan, np.inf, [], "")
+        return power_of(*self._measured) if known else (np.nan, np.inf, [], "")
 
     def stiffness(self, law, c=None):
         """Return the stiffness of contacts, 0 where balls do not touch, shape (nb,), and its error.
@@ -262,7 +270,7 @@ class Contacts:
             hint = ", or --hertz" if law == "hertz" else ""
             raise InputError(f"--law {law} needs overlaps: radii and positions of the balls{hint}")
         else:
-            overlap, off = laws.overlaps_of(*self._measured, power)
+            overlap, off = overlaps_by_law(*self._measured, power)
             error += off
         touch = force != 0
         self.table.refuse_any(
@@ -273,61 +281,53 @@ class Contacts:
         return np.divide(power * force, overlap, out=np.zeros(len(force)), where=touch), error
 
 
-def bonds_of(table, one, other, balls):
-    """Return the rows of the balls whose ids two columns hold, shape (nb, 2)."""
-    bonds, order = [], np.argsort(balls.id)
-    for ids in map(table.integers, (one, other)):
-        # the row that each id would have in a sorted list, which is its ball's only if it is there
-        rows = order[np.searchsorted(balls.id[order], ids).clip(max=len(order) - 1)]
-        unknown = balls.id[rows] != ids
-        table.refuse_any(unknown, lambda row, ids=ids: f"no ball {ids[row]} in {balls.table.path}")
-        bonds.append(rows)
-    return np.stack(bonds, axis=1)
+def power_of(force, overlap, error, scales):
+    """Return the power of the law F = c h^power, and what tells it.
 
-
-LARGEST_GRAPH = 2**28  # bytes; NetworkX keeps all of a graph as Python objects
-
-
-def read_graph(path):
-    """Return the tables of the nodes and of the edges of a GraphML file, and the nodes' names.
-
-    The columns `id` and `id1`, `id2` are the names where these are all integers, else numbers from
-    0 in the order of the file.
+    c is one number, or goes like R^(power - 1), R = R_i R_j / (R_i + R_j), as of one material: then
+    F R = c (h R)^power. `scales` are 1 and R, `error` is what rounding changes h by, at most. With
+    the power come how far another is from it for certain, which contacts tell it, and words, none
+    where overlaps are too few or too similar.
     """
-    open_regular(path, what="a GraphML file", most=LARGEST_GRAPH).close()
-    try:
-        import networkx
-    except ImportError:
-        cure = "pip install networkx, or give balls and contacts as CSV"
-        raise PgranError(f"GraphML is read by NetworkX, which is not here: {cure}") from None
-    try:
-        graph = networkx.read_graphml(path)
-        nodes, edges = list(graph.nodes(data=True)), list(graph.edges(data=True))
-    except Exception as error:  # whatever a damaged file makes of NetworkX
-        why = f"{type(error).__name__}: {error}"
-        raise FileError(f"{path}: NetworkX cannot read it: {why}") from None
-    names = [str(name) for name, _ in nodes]
-    numbered = all(name.isascii() and name.isdigit() and len(name) < 16 for name in names)
-    ids = {name: int(name) if numbered else k for k, name in enumerate(names)}
-    balls = [{**data, "id": ids[str(name)]} for name, data in nodes]
-    pairs = [{**data, "id1": ids[str(a)], "id2": ids[str(b)]} for a, b, data in edges]
-    return (
-        _table_of(path, balls, [f"node {name}" for name in names], "nodes"),
-        _table_of(path, pairs, [f"edge {a} - {b}" for a, b, _ in edges], "edges"),
-        names,
-    )
+    weight = overlap / error
+    clear = (force > 0) & (weight > CLEAR) & (weight < np.inf)
+    F, h, weight = np.log(force[clear]), np.log(overlap[clear]), weight[clear]
+    if len(h) < FEWEST or min(np.ptp(F), np.ptp(h)) < SHORTEST_RANGE:
+        return np.nan, np.inf, clear, ""
+    logs = [np.broadcast_to(np.log(r), clear.shape)[clear] for r in scales]
+    lines = [np.polyfit(F + r, h + r, 1, w=weight, cov=True) for r in logs]
+    best = int(np.argmin([spread[0, 0] for _, spread in lines]))
+    (line, spread), x = lines[best], F + logs[best]  # of h by F, whose scatter makes it flatter
+    power, scatter = 1 / line[0], np.var(h + logs[best] - np.polyval(line, x))
+    sigma = power**2 * (np.sqrt(spread[0, 0]) + power * scatter / np.var(x))
+    far = POWER_GAP + 3 * sigma
+    known = packing.POWERS.items()
+    laws = [f": --law {law} fits" for law, exponent in known if abs(exponent - power) < far]
+    fits = laws[0] if len(laws) == 1 else ""
+    return power, far, clear, f"forces go like h^({power:.3g} +- {sigma:.1g}), h the overlap{fits}"
 
 
-def _table_of(path, rows, places, what):
-    """Return the table of rows given as dictionaries; NaN where one lacks a number."""
-    if not rows:
-        raise FileError(f"{path}: has no {what}")
-    columns, texts = {}, {}
-    for name in dict.fromkeys(name for row in rows for name in row):
-        words = [row.get(name, np.nan) for row in rows]
-        try:
-            columns[str(name)] = np.array(words, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            row = next(k for k, word in enumerate(words) if not is_number(str(word)))
-            texts[str(name)] = (row, str(words[row]))
-    return Table(path, columns, texts, places)
+def overlaps_by_law(force, overlap, error, scales, power):
+    """Return overlaps by forces under a law, and by which part one is off, at most.
+
+    Contacts that do not obey it, or have all digits, keep their own; all where few obey it.
+    """
+    pushing, found = force > 0, []
+    for scale in scales:
+        unit = (np.where(pushing, force, 0.0) * scale) ** (1 / power) / scale
+        size, off = (_median(x / unit, unit / error) for x in (overlap, error))
+        misfits = (np.abs(overlap - size * unit) / error)[pushing]
+        if np.count_nonzero(misfits <= MISFIT) >= OBEYING * len(misfits):
+            found.append((misfits.sum(), off / size, size * unit))
+    _, off, own = min(found, key=lambda each: each[0], default=(0, 0, np.inf))
+    off += sum(np.abs(other / own - 1)[pushing].max(initial=0.0) for *_, other in found)
+    obeying = pushing & (np.abs(overlap - own) <= MISFIT * error) & (error > EXACT * overlap)
+    off = np.where(obeying, off, error / overlap)[pushing].max(initial=0.0)
+    return np.where(obeying, own, overlap), off
+
+
+def _median(values, weights):
+    """Return the median of values that have weights."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return values[order[np.searchsorted(total, total[-1] / 2)]]

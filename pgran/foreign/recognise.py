@@ -11,10 +11,10 @@ import itertools
 import numpy as np
 
 from pgran.errors import FileError, InputError
-from pgran.foreign.contacts import AXES, PRINTED, ROLES, Contacts, bonds_of
+from pgran.foreign.contacts import AXES, ROLES, ROUNDING, Contacts, bonds_of
 
-LARGE = 0.9  # the part of a column that must hold ids of balls if it is to be one of ids
-NAMED = "--columns id1,id2,distance,force names them"
+ID_PART = 0.9  # the part of a column that must hold ids of balls if it is to be one of ids
+CURE = "--columns id1,id2,distance,force names them"
 
 
 def read_contacts(table, balls, columns=None):
@@ -64,23 +64,20 @@ def _roles_of_balls(table, balls):
     touch, or its components. A few rows may be wrong, so that it is these that are refused.
     """
     known = {name: np.isin(values, balls.id) for name, values in table.columns.items()}
-    ids = [name for name, each in known.items() if np.mean(each) >= LARGE]
-    pairs = []
-    for a, b in itertools.combinations(ids[:12], 2):
+    ids = [name for name, each in known.items() if np.mean(each) >= ID_PART]
+    scored = []
+    for pair in itertools.combinations(ids[:12], 2):
+        a, b = pair
         right = known[a] & known[b] & (table.columns[a] != table.columns[b])
-        if np.mean(right) >= LARGE:
+        if np.mean(right) >= ID_PART:
             some = table.of_rows(right)
             bond = bonds_of(some, a, b, balls)
             contacts = Contacts(some, balls, bond, {"id1": a, "id2": b})
-            recognised = (
-                _columns_like(contacts, contacts.lengths),
-                _columns_like_force(contacts),
-                _columns_like_components(contacts),
-            )
-            pairs.append(((sum(map(bool, recognised)), np.mean(right)), (a, b), bond))
+            told = (_distances(contacts), _forces(contacts), _components(contacts))
+            scored.append(((sum(map(bool, told)), np.mean(right)), pair, bond))
     # (how many things the other columns are, in how many rows they hold balls): the most wins
-    best = max((score for score, *_ in pairs), default=(0, 0.0))
-    pairs = [(pair, bond) for score, pair, bond in pairs if score == best]
+    best = max((score for score, *_ in scored), default=(0, 0.0))
+    pairs = [(pair, bond) for score, pair, bond in scored if score == best]
     if not best[0]:
         why = "no two columns hold ids of balls whose distance or force another column holds"
     elif any(not np.array_equal(bond, pairs[0][1]) for _, bond in pairs):
@@ -88,24 +85,24 @@ def _roles_of_balls(table, balls):
         why = f"the balls could be in {names}, by the geometry"
     else:
         return dict(zip(("id1", "id2"), pairs[0][0], strict=True))
-    raise FileError(f"{table.path}: {why}; {NAMED}")
+    raise FileError(f"{table.path}: {why}; {CURE}")
 
 
 def _recognise(contacts):
     """Add to the roles of contacts what the geometry tells: distance, force, its components."""
     roles = contacts.roles
-    if "distance" not in roles and (alike := _columns_like(contacts, contacts.lengths)):
-        roles["distance"] = alike[0]
+    if "distance" not in roles and (names := _distances(contacts)):
+        roles["distance"] = names[0]
     if "fx" not in roles:
-        roles |= _columns_like_components(contacts)
+        roles |= _components(contacts)
     if {"force", "stiffness"} & roles.keys():
         return
-    alike = _columns_like_force(contacts)
-    if len(alike) > 1:
-        names = ", ".join(alike[:9])
-        raise FileError(f"{contacts.table.path}: {names} could each be the force; {NAMED}")
-    if alike:
-        roles["force"] = alike[0]
+    names = _forces(contacts)
+    if len(names) > 1:
+        could = f"{', '.join(names[:9])} could each be the force"
+        raise FileError(f"{contacts.table.path}: {could}; {CURE}")
+    if names:
+        roles["force"] = names[0]
 
 
 def _without_role(contacts):
@@ -114,18 +111,23 @@ def _without_role(contacts):
     return {name: v for name, v in contacts.table.columns.items() if name not in taken}
 
 
-def _alike(one, other):
-    """Return whether two columns of forces are the same but for what was not printed."""
-    return bool(np.all(np.abs(one - other) <= PRINTED * np.abs(other).max()))
+def _distances(contacts):
+    """Return which columns are the distances of the balls, as far as they were printed."""
+    return _columns_near(contacts, contacts.lengths)
 
 
-def _columns_like(contacts, lengths):
+def _columns_near(contacts, lengths):
     """Return which columns without a role are these lengths, as far as they were printed."""
     limit, columns = contacts.balls.tolerance, _without_role(contacts)
     return [name for name, v in columns.items() if np.all(np.abs(v - lengths) <= limit)]
 
 
-def _columns_like_force(contacts):
+def _same_forces(one, other):
+    """Return whether two columns of forces are the same but for what was not printed."""
+    return bool(np.all(np.abs(one - other) <= ROUNDING * np.abs(other).max()))
+
+
+def _forces(contacts):
     """Return which columns are a force that is there where balls touch, and nowhere else.
 
     Overlaps are as well: they are returned if nothing else is found.
@@ -141,17 +143,16 @@ def _columns_like_force(contacts):
         and np.all(values[never] == 0)
         and np.all(values[surely] > 0)
         and np.any(values != np.rint(values))
-        and (along is None or _alike(values, along))
+        and (along is None or _same_forces(values, along))
     ]
-    overlaps = _columns_like(contacts, contacts.overlap)
+    overlaps = _columns_near(contacts, contacts.overlap)
     return [name for name in forces if name not in overlaps] or forces
 
 
-def _columns_like_components(contacts):
-    """Return three neighbouring columns, in a plane two, that are the components of a force.
+def _components(contacts):
+    """Return by role three neighbouring columns, in a plane two, that are a force's components.
 
-    It has one sign along the normal, where it is the largest, and is 0 where no balls touch. They
-    are returned by the names of the components; none if there is no such force.
+    It has one sign along the normal, where it is the largest, and is 0 where no balls touch.
     """
     if contacts.overlap is None:
         return {}
@@ -169,7 +170,7 @@ def _columns_like_components(contacts):
             and np.all(along >= 0)
             and np.all(across <= along)
             and np.all(vectors[never] == 0)
-            and (force is None or _alike(along, force))
+            and (force is None or _same_forces(along, force))
         ):
             return dict(zip((f"f{x}" for x in AXES), names, strict=False))
     return {}

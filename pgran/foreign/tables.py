@@ -1,4 +1,4 @@
-"""Tables in text files of other programs: dumps of LAMMPS and LIGGGHTS, CSV with a header.
+"""Tables of other programs: dumps of LAMMPS and LIGGGHTS, CSV with a header, GraphML.
 
 What a file claims about its size is believed only as far as its lines go.
 """
@@ -7,18 +7,19 @@ import dataclasses
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from pgran.errors import FileError
+from pgran.errors import FileError, PgranError
 from pgran.store.paths import open_regular
 from pgran.store.text import Lines, is_number
 
-BLOCK = 2**14  # rows that are turned into numbers at a time
+BLOCK = 2**14  # rows that are turned into numbers at a time: words take more room
+LARGEST_GRAPH = 2**28  # bytes; NetworkX keeps all of a graph as Python objects
 
 
-@dataclass(frozen=True, eq=False)
-class Box:
+class Box(NamedTuple):
     """A box with sides along the axes: its ends, and along which axes it is periodic."""
 
     low: np.ndarray
@@ -79,18 +80,18 @@ class Table:
             self.refuse_any(column <= 0, lambda row: f"{name} must be positive, not {column[row]}")
         return column
 
-    @cached_property
-    def digits(self):
-        """How many digits its numbers have: six, which LAMMPS prints, or up to 15."""
-        some = {x for column in self.columns.values() for x in column[:BLOCK].tolist() if x % 1 > 0}
-        return next((n for n in range(6, 15) if all(float(f"{x:.{n}g}") == x for x in some)), 15)
-
     def integers(self, name):
         """Return a column of integers; refuse it if it is another."""
         column = self.numbers(name)
         others = (column != np.rint(column)) | (np.abs(column) >= 2**53)
         self.refuse_any(others, lambda row: f"{name} is {column[row]}, no integer")
         return column.astype(np.int64)
+
+    @cached_property
+    def digits(self):
+        """How many digits its numbers have: six, which LAMMPS prints, or up to 15."""
+        some = {x for column in self.columns.values() for x in column[:BLOCK].tolist() if x % 1 > 0}
+        return next((n for n in range(6, 15) if all(float(f"{x:.{n}g}") == x for x in some)), 15)
 
 
 def read_table(path):
@@ -150,10 +151,10 @@ def _read_dump(lines):
         else:
             lines.need("head")  # of a line such as ITEM: TIME
     rows = (lines.need(f"{count} rows").split() for _ in range(count))
-    columns, texts, places = _collect(lines, names, ((lines.number, words) for words in rows))
+    collected = _collect(lines, names, ((lines.number, words) for words in rows))
     if (line := lines.next()) is not None and line.strip():
         lines.refuse(f"more than the {count} rows that were announced")
-    return Table(lines.path, columns, texts, places, step, snapshots, box)
+    return Table(lines.path, *collected, step, snapshots, box)
 
 
 def _natural(lines, what):
@@ -192,16 +193,68 @@ def _collect(lines, names, rows):
         for number, words in block:
             if len(words) != len(names):
                 lines.refuse(f"{len(words)} words where the columns are {len(names)}", number)
-        places.append(np.array([number for number, _ in block]))
-        for k, name in enumerate(names):
-            words = [words[k] for _, words in block]
-            try:
-                blocks[name].append(np.array(words, dtype=float))
-            except ValueError:
-                row = next(row for row, word in enumerate(words) if not is_number(word))
-                texts.setdefault(name, (done + row, words[row]))
+        numbers, parted = zip(*block, strict=True)
+        places.append(np.array(numbers))
+        for name, words in zip(names, zip(*parted, strict=True), strict=True):
+            column, wrong = _numbers(words)
+            blocks[name].append(column)
+            if wrong is not None:
+                texts.setdefault(name, (done + wrong, words[wrong]))
         done += len(block)
     if not done:
         lines.refuse("there are no rows")
     columns = {name: np.concatenate(blocks[name]) for name in names if name not in texts}
     return columns, texts, np.concatenate(places)
+
+
+def _numbers(words):
+    """Return words as numbers, and the row of the first that is none, or None."""
+    try:
+        return np.array(words, dtype=float), None
+    except (TypeError, ValueError, OverflowError):
+        return None, next((k for k, word in enumerate(words) if not is_number(str(word))), 0)
+
+
+def read_graph(path):
+    """Return the tables of the nodes and of the edges of a GraphML file, and the nodes' names.
+
+    The columns `id` and `id1`, `id2` are the names where these are all integers, else numbers from
+    0 in the order of the file.
+    """
+    open_regular(path, what="a GraphML file", most=LARGEST_GRAPH).close()
+    try:
+        import networkx
+    except ImportError:
+        cure = "pip install networkx, or give balls and contacts as CSV"
+        raise PgranError(f"GraphML is read by NetworkX, which is not here: {cure}") from None
+    try:
+        graph = networkx.read_graphml(path)
+        nodes, edges = list(graph.nodes(data=True)), list(graph.edges(data=True))
+    except Exception as error:  # whatever a damaged file makes of NetworkX
+        why = f"{type(error).__name__}: {error}"
+        raise FileError(f"{path}: NetworkX cannot read it: {why}") from None
+    names = [str(name) for name, _ in nodes]
+    numbered = all(name.isascii() and name.isdigit() and len(name) < 16 for name in names)
+    ids = {name: int(name) if numbered else k for k, name in enumerate(names)}
+    balls = [{**data, "id": ids[str(name)]} for name, data in nodes]
+    pairs = [{**data, "id1": ids[str(a)], "id2": ids[str(b)]} for a, b, data in edges]
+    return (
+        _table_of(path, balls, [f"node {name}" for name in names], "nodes"),
+        _table_of(path, pairs, [f"edge {a} - {b}" for a, b, _ in edges], "edges"),
+        names,
+    )
+
+
+def _table_of(path, rows, places, what):
+    """Return the table of rows given as dictionaries; NaN where one lacks a number."""
+    if not rows:
+        raise FileError(f"{path}: has no {what}")
+    columns, texts = {}, {}
+    for name in dict.fromkeys(name for row in rows for name in row):
+        words = [row.get(name, np.nan) for row in rows]
+        column, wrong = _numbers(words)
+        if wrong is None:
+            columns[str(name)] = column
+        else:
+            texts[str(name)] = (wrong, str(words[wrong]))
+    return Table(path, columns, texts, places)
