@@ -72,8 +72,9 @@ def run(words):
 def table(found):
     """Yield in words how alike two results are."""
     yield f"A: {found.label_a}; B: {found.label_b}"
-    heads = ["time" if found.of == "pulse" else "omega", "correlation", "stretch of B", "then"]
-    heads.append("" if found.shift is None else "or a shift of B")
+    axis = "time" if found.of == "pulse" else "omega"
+    shift = "" if found.shift is None else "or a shift of B"
+    heads = axis, "correlation", "stretch of B", "then", shift
     balls = ball_names(found.detector)
     for d, n in np.ndindex(found.stretch.shape[1:]):
         yield f"{balls[d]}, {found.signal[n]}"

@@ -6,6 +6,7 @@ import io
 import logging
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pgran
 from pgran.arguments import called_right, shown
@@ -16,12 +17,19 @@ from pgran.store.file import is_result
 from pgran.store.paths import check_seal, whole
 from pgran.store.text import tables
 
+if TYPE_CHECKING:
+    from pgran.medium.lattice import Lattice
+    from pgran.medium.network import Network
+    from pgran.store.record import Result
+
 log = logging.getLogger("pgran")
 HELD = 1e-3  # of the mean force: how exactly positions must hold the forces of a packing
 
 
 @called_right
-def export(result, output):
+def export(
+    result: "Result | Lattice | Network | str | os.PathLike", output: str | os.PathLike
+) -> list[Path]:
     """Write a result for other programs: `export("modes.h5", "modes.vtu")`.
 
     The ending of its name says what is written:
@@ -57,16 +65,24 @@ def export(result, output):
         If the result cannot be read or has no such thing, or the file cannot be written.
     PgranError
         If there is no meshio.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> packing = pgran.pack(40, pressure=1e-2, seed=1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     paths = pgran.export(packing, f"{folder}/discs.lmp")
+    >>> [path.name for path in paths]
+    ['discs.lmp', 'discs.in']
     """
     try:
         output = Path(output)
     except TypeError:
         raise InputError(f"export: {shown(output)} is no path of a file") from None
-    kinds = {".vtu": _write_mesh, ".csv": _write_tables, ".lmp": _write_packing}
-    write = kinds.get(output.suffix.lower())
-    if write is None:
-        raise FileError(f"{output}: an export's name ends in one of {', '.join(kinds)}")
-    return write(result_of(result), output)
+    writers = {".vtu": _write_mesh, ".csv": _write_tables, ".lmp": _write_packing}
+    if output.suffix.lower() not in writers:
+        raise FileError(f"{output}: an export's name ends in one of {', '.join(writers)}")
+    return writers[output.suffix.lower()](result_of(result), output)
 
 
 def result_of(given):
@@ -115,13 +131,11 @@ def run(words):
 
 
 def _write_tables(result, output):
-    """Write the tables of a result, each to a file of its own, and return the paths.
-
-    Their numbers are read back as they are.
-    """
-    named = tables(result)
-    paths = [output.with_stem("-".join(filter(None, [output.stem, name]))) for name in named]
-    for path, columns in zip(paths, named.values(), strict=True):
+    """Write the tables of a result, each to a file of its own, with all digits."""
+    paths = []
+    for table, columns in tables(result).items():
+        path = output.with_stem("-".join(filter(None, [output.stem, table])))
+        paths.append(path)
         real = {}
         for name, column in columns.items():
             if column.dtype.kind == "c":
@@ -173,12 +187,10 @@ def _write_packing(result, output):
             f"the positions, radii and box of the network say other forces, by {other:.1e} of the "
             "mean one: LAMMPS would not find the same packing"
         )
-    texts = {
-        output: data_file(network),
-        output.with_suffix(".in"): input_script(network, law, output.stem),
-    }
+    script = output.with_suffix(".in")
+    texts = {output: data_file(network), script: input_script(network, law, output.stem)}
     for path, text in texts.items():
         with whole(path) as stream:
             stream.write(text.encode())
     log.info("positions hold each force to %.1e of the mean one", other)
-    return [*texts]
+    return [output, script]
