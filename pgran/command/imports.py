@@ -44,13 +44,12 @@ def run(words):
             nodes, edges = read_table(options.balls), read_table(options.contacts)
         contacts = read_contacts(edges, read_balls(nodes), options.columns)
         made = assemble(contacts, options, names)
-        network = made.network()
-        cautions = [*_cautions(network, made, contacts, options)]
+        cautions = [*_cautions(made, contacts, options)]
     write_network(options.output, made.members, made.attributes, options.overwrite)
     for line in cautions:
         log.warning("%s", line)
-    warn_of_damping(network, "--damping")
-    for line in _summary(network, made, contacts, options):
+    warn_of_damping(made.network, "--damping")
+    for line in _summary(made, contacts, options):
         print(line)
     return DONE
 
@@ -113,9 +112,9 @@ def _check(options):
         raise InputError(f"{missing}one GraphML file holds both, dumps and CSV are two")
 
 
-def _cautions(network, made, contacts, options):
+def _cautions(made, contacts, options):
     """Say what speaks against the stiffness, or against the rest, of a packing."""
-    if not network.held.any():
+    if not made.network.held.any():
         yield "no ball is held: the network floats and cannot be driven; see --rest and --drive"
     power, far, clear, words = contacts.power
     if words:  # something tells the power
@@ -130,13 +129,13 @@ def _cautions(network, made, contacts, options):
             "friction or contacts that are cut balance it, or nothing does"  # fmt: skip
 
 
-def _summary(network, made, contacts, options):
+def _summary(made, contacts, options):
     """Say in a few lines what has been written, what was left out, and what to do next."""
-    kept, kind = made.kept, network.displacement
+    network, kept = made.network, made.kept
     yield balls_of(network, options.output)
-    moves = {"vector": "vectors", "rotations": "vectors and rotations"}.get(kind, kind)
-    plane = f" in {network.axes} dimensions, driven along {_words(network.direction)}"
-    yield f"displacements: {moves}{'' if kind == 'scalar' else plane}"
+    moves = {"vector": "vectors", "rotations": "vectors and rotations"}.get(network.displacement)
+    plane = f"{moves} in {network.axes} dimensions, driven along {_words(network.direction)}"
+    yield f"displacements: {plane if moves else 'scalar'}"
     for path, table in {t.path: t for t in (contacts.balls.table, contacts.table)}.items():
         if table.snapshots > 1:
             yield f"{path}: the last of {table.snapshots} snapshots, of the time step {table.step}"

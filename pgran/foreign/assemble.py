@@ -16,13 +16,14 @@ SAME = 1e-6  # contacts that are listed twice agree to this part
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """What is written of a packing, and what was left out.
+    """A packing as a network, what is written of it, and what was left out.
 
     Not among the contacts are those of balls `apart`, those listed `twice`, and those `cut`; of the
     others `kept` says what can vibrate. `error` is the largest part that digits leave open of a
     stiffness, `unbalanced` the largest total force on a free ball.
     """
 
+    network: Network
     members: dict
     attributes: dict
     kept: packing.Kept
@@ -32,12 +33,6 @@ class Imported:
     twice: int
     cut: int
     unbalanced: float | None
-
-    def network(self):
-        """Return the network, which raises an InputError where it is none."""
-        values = {name: self.members[name] for name in self.members if name != "id"}
-        values["masses"] = values.pop("mass")
-        return Network(**values, **self.attributes)
 
 
 def assemble(contacts, options, names=None):
@@ -116,8 +111,10 @@ def assemble(contacts, options, names=None):
     if balls.axes:
         cut = np.isin(list(AXES[: balls.axes]), list(options.cut or ""))
         attributes["box"] = np.where(np.isfinite(balls.periods) & ~cut, balls.periods, 0.0)
+    values = {name: member for name, member in members.items() if name not in ("id", "mass")}
+    network = Network(**values, masses=members["mass"], **attributes)
     left_out = map(np.count_nonzero, (~touch, touch & ~once, across & once))
-    return Imported(members, attributes, kept, stiffness, error, *left_out, ratio)
+    return Imported(network, members, attributes, kept, stiffness, error, *left_out, ratio)
 
 
 def _listed_once(contacts, stiffness):

@@ -73,8 +73,9 @@ def _roles_of_balls(table, balls):
             some = table.of_rows(right)
             bond = bonds_of(some, a, b, balls)
             contacts = Contacts(some, balls, bond, {"id1": a, "id2": b})
-            told = (_distances(contacts), _forces(contacts), _components(contacts))
-            scored.append(((sum(map(bool, told)), np.mean(right)), pair, bond))
+            distances = _columns_near(contacts, contacts.lengths)
+            told = sum(map(bool, (distances, _forces(contacts), _components(contacts))))
+            scored.append(((told, np.mean(right)), pair, bond))
     # (how many things the other columns are, in how many rows they hold balls): the most wins
     best = max((score for score, *_ in scored), default=(0, 0.0))
     pairs = [(pair, bond) for score, pair, bond in scored if score == best]
@@ -91,7 +92,7 @@ def _roles_of_balls(table, balls):
 def _recognise(contacts):
     """Add to the roles of contacts what the geometry tells: distance, force, its components."""
     roles = contacts.roles
-    if "distance" not in roles and (names := _distances(contacts)):
+    if "distance" not in roles and (names := _columns_near(contacts, contacts.lengths)):
         roles["distance"] = names[0]
     if "fx" not in roles:
         roles |= _components(contacts)
@@ -109,11 +110,6 @@ def _without_role(contacts):
     """Return the columns that have no role yet."""
     taken = contacts.roles.values()
     return {name: v for name, v in contacts.table.columns.items() if name not in taken}
-
-
-def _distances(contacts):
-    """Return which columns are the distances of the balls, as far as they were printed."""
-    return _columns_near(contacts, contacts.lengths)
 
 
 def _columns_near(contacts, lengths):
