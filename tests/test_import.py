@@ -44,19 +44,16 @@ def test_dumps(call, place, here, axes, law, style):
     np.testing.assert_allclose(network.position, sample.position[[order[n] for n in ids]])
 
 
-@pytest.mark.parametrize(
-    ("words", "stress"),
-    [
+def test_columns_named_by_the_user(call, place, here):
+    sample = Sample(2)
+    sample.write(place)
+    for words, stress in (
         ("--columns _,_,id1,id2,distance,_,force --no-prestress", False),
         ("--columns id1=c_p[1],id2=4,force=c_p[5] --no-prestress", False),
         (f"--hertz {HERTZ}", True),  # stiffness by the force alone
-    ],
-)
-def test_columns_named_by_the_user(call, place, here, words, stress):
-    sample = Sample(2)
-    sample.write(place)
-    assert ("fx" in bring(call, "--law", "hertz", *words.split())) == stress
-    assert (assert_same(sample, stress)[0].force is not None) == stress
+    ):
+        assert ("fx" in bring(call, "--law", "hertz", *words.split())) == stress
+        assert (assert_same(sample, stress)[0].force is not None) == stress
 
 
 def test_six_digits(call, place, here):

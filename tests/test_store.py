@@ -1,4 +1,4 @@
-"""Results on disk: everything comes back, and damage does no harm."""
+"""Results on disk: everything comes back, others can read it, and damage does no harm."""
 
 import contextlib
 import dataclasses
@@ -78,6 +78,36 @@ def test_xarray_reads_what_records_become(path, tmp_path):
     assert load(path).response.to_xarray().field.dims == ("omega", "x", "y")
 
 
+def test_every_axis_has_one_coordinate_of_its_length(path):
+    """By HDF5's own dimension scales, each within the group or above it."""
+    seen = []
+
+    def check(name, data):
+        if isinstance(data, h5py.Dataset):
+            for length, dimension in zip(data.shape, data.dims, strict=True):
+                if not h5py.h5ds.is_scale(data.id):
+                    (scale,) = dimension.values()
+                    assert h5py.h5ds.is_scale(scale.id), name
+                    assert scale.shape == (length,), name
+                    seen.append(name)
+            assert data.attrs["units"], name
+            assert data.attrs["long_name"], name
+
+    with h5py.File(path) as file:
+        file.visititems(check)
+    assert len(seen) > 100
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077])
+def test_who_may_read_it_is_for_the_users_mask_to_say(tmp_path, mask):
+    before = os.umask(mask)
+    try:
+        store.write(tmp_path / "a.h5", ATTRIBUTES, [make(KINDS[0])])
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a.h5").stat().st_mode & 0o777 == 0o666 & ~mask
+
+
 def test_a_result_by_name(monkeypatch):
     lattice, modes = make(results.LatticeRecord), make(results.Modes)
     result = Result([lattice, modes], scene="modes")
@@ -108,11 +138,14 @@ def refused(path, match, read=load):
 def test_missing_and_other_files(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     h5py.File(tmp_path / "foreign", "w").close()
-    refused(tmp_path / "none.h5", "No such file")
-    refused(tmp_path, "directory")
-    refused(tmp_path / "pipe", "pipe")
-    refused(Path(__file__), "not an HDF5 file")
-    refused(tmp_path / "foreign", "neither a result of pgran nor a network")
+    for path, said in (
+        (tmp_path / "none.h5", "No such file"),
+        (tmp_path, "directory"),
+        (tmp_path / "pipe", "pipe"),
+        (Path(__file__), "not an HDF5 file"),
+        (tmp_path / "foreign", "neither a result of pgran nor a network"),
+    ):
+        refused(path, said)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 from pgran.command.words import Parser, magnitude, positive
 from pgran.errors import DONE, InputError
 from pgran.foreign.assemble import assemble
-from pgran.foreign.contacts import AXES, read_balls
+from pgran.foreign.contacts import AXES, ROLES, Balls
 from pgran.foreign.recognise import read_contacts
 from pgran.foreign.tables import read_graph, read_table
 from pgran.medium.checks import KINDS
@@ -42,7 +42,7 @@ def run(words):
             nodes, edges, names = read_graph(options.balls)
         else:
             nodes, edges = read_table(options.balls), read_table(options.contacts)
-        contacts = read_contacts(edges, read_balls(nodes), options.columns)
+        contacts = read_contacts(edges, Balls(nodes), options.columns)
         made = assemble(contacts, options, names)
         cautions = [*_cautions(made, contacts, options)]
     write_network(options.output, made.members, made.attributes, options.overwrite)
@@ -139,8 +139,8 @@ def _summary(made, contacts, options):
     for path, table in {t.path: t for t in (contacts.balls.table, contacts.table)}.items():
         if table.snapshots > 1:
             yield f"{path}: the last of {table.snapshots} snapshots, of the time step {table.step}"
-    roles = ", ".join(f"{role} = {name}" for role, name in contacts.roles.items())
-    yield f"columns of contacts: {roles}"
+    roles = [f"{role} = {contacts.roles[role]}" for role in ROLES if role in contacts.roles]
+    yield f"columns of contacts: {', '.join(roles)}"
     left_out = (
         (kept.rattlers, "rattler", "without contacts"),
         (kept.torn_off, "ball", "torn off by the cut"),

@@ -138,7 +138,7 @@ def _crossing(contacts, cut):
     for axis in map(AXES.index, cut or ""):
         if axis >= contacts.balls.axes or not np.isfinite(contacts.balls.periods[axis]):
             raise InputError(f"--cut {AXES[axis]}: the packing is not periodic along {AXES[axis]}")
-        across |= contacts.images[1][:, axis]
+        across |= contacts.crossing[:, axis]
     return across
 
 

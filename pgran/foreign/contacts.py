@@ -3,14 +3,12 @@
 What a column holds follows from its name, here; without one, from its numbers: `recognise`.
 """
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from pgran.arguments import meant, nearest
 from pgran.errors import InputError
-from pgran.foreign.tables import Table
 from pgran.medium import packing
 
 AXES = "xyz"
@@ -36,22 +34,36 @@ EXACT = 1e-8  # of an overlap: errors that need no law
 POWER_GAP = 0.1  # of two powers that differ, beyond three standard errors
 
 
-@dataclass(frozen=True, eq=False)
 class Balls:
     """The balls in a table: `id`, `mass`, shape (N,), and so `radius` and `held`, or None.
 
     Positions, shape (N, d), or None, lie in the box where that is periodic; `periods`, shape (d,),
-    are infinite where it is not.
+    are infinite where it is not. `weighed` says whether the file says what they weigh.
     """
 
-    table: Table
-    id: np.ndarray
-    position: np.ndarray | None
-    periods: np.ndarray
-    mass: np.ndarray
-    radius: np.ndarray | None
-    held: np.ndarray | None
-    weighed: bool  # whether the file says what they weigh
+    def __init__(self, table):
+        self.table, self.id = table, table.integers("id")
+        _, first = np.unique(self.id, return_index=True)
+        again = ~np.isin(np.arange(len(self.id)), first)
+        table.refuse_any(again, lambda row: f"a second ball has the id {self.id[row]}")
+        self.position, self.periods = _positions(table)
+        self.radius = self.held = None
+        if "radius" in table:
+            self.radius = table.numbers("radius", positive=True)
+        elif "diameter" in table:
+            self.radius = 0.5 * table.numbers("diameter", positive=True)
+        # a file says a mass, or the density of what has a radius, or nothing: then all are alike
+        self.mass, self.weighed = np.ones(len(self.id)), True
+        if "mass" in table:
+            self.mass = table.numbers("mass", positive=True)
+        elif "density" in table and self.radius is not None:  # of spheres, in a plane as well
+            self.mass = table.numbers("density", positive=True) * 4 / 3 * np.pi * self.radius**3
+        else:
+            self.weighed = False
+        if "held" in table:
+            self.held = table.integers("held")
+            wrong = ~np.isin(self.held, (0, 1, 2))
+            table.refuse_any(wrong, "held must be 0 (free), 1 (at rest) or 2 (driven)")
 
     @property
     def axes(self):
@@ -71,31 +83,6 @@ class Balls:
             there = ", ".join(dict.fromkeys([*AXES[: self.axes], *self.table.columns][:30]))
             raise InputError(f"balls have no column {name}; there are {there}")
         return self.table.numbers(name)
-
-
-def read_balls(table):
-    """Return the balls in a table."""
-    ids = table.integers("id")
-    _, first = np.unique(ids, return_index=True)
-    again = ~np.isin(np.arange(len(ids)), first)
-    table.refuse_any(again, lambda row: f"a second ball has the id {ids[row]}")
-    position, periods = _positions(table)
-    # a file says a mass, or the density of what has a radius, or nothing: then all are alike
-    radius = mass = held = None
-    if "radius" in table:
-        radius = table.numbers("radius", positive=True)
-    elif "diameter" in table:
-        radius = 0.5 * table.numbers("diameter", positive=True)
-    if "mass" in table:
-        mass = table.numbers("mass", positive=True)
-    elif "density" in table and radius is not None:  # of spheres, in a plane as well
-        mass = table.numbers("density", positive=True) * 4 / 3 * np.pi * radius**3
-    if "held" in table:
-        held = table.integers("held")
-        wrong = ~np.isin(held, (0, 1, 2))
-        table.refuse_any(wrong, "held must be 0 (free), 1 (at rest) or 2 (driven)")
-    masses = np.ones(len(ids)) if mass is None else mass
-    return Balls(table, ids, position, periods, masses, radius, held, mass is not None)
 
 
 def _positions(table):
@@ -136,77 +123,59 @@ def bonds_of(table, one, other, balls):
     return np.stack(bonds, axis=1)
 
 
-@dataclass(frozen=True, eq=False)
 class Contacts:
-    """The contacts in a table: the rows of their two balls, shape (nb, 2), and what columns hold.
+    """The contacts in a table: what its columns hold, checked by what follows from the balls.
 
-    `roles` are the columns' names by what they hold, keys of ROLES.
+    `bond` are the rows of their two balls, shape (nb, 2), `roles` the columns' names by what they
+    hold, keys of ROLES. By positions there are `lengths`, normals from the first ball to the
+    second, shape (nb, d), and through which ends of the box they lead, `crossing`; by positions or
+    columns the `distance` of the centres, the `overlap` R_i + R_j - distance, and the repulsive
+    `force`. What is unknown is None.
     """
 
-    table: Table
-    balls: Balls
-    bond: np.ndarray
-    roles: dict
+    def __init__(self, table, balls, bond, roles):
+        self.table, self.balls, self.bond, self.roles = table, balls, bond, roles
+        self.lengths = self.normal = self.crossing = overlap = None
+        if balls.axes:
+            away = balls.position[bond[:, 1]] - balls.position[bond[:, 0]]
+            away, self.crossing = packing.nearest_images(away, balls.periods)
+            lengths = np.linalg.norm(away, axis=1)
+            odd = ~((lengths > 0) & (lengths < np.inf))  # balls at one place have no normal
+            table.refuse_any(odd, lambda row: f"these balls are {lengths[row]} apart")
+            self.lengths, self.normal = lengths, away / lengths[:, None]
+        self.distance = self._agreeing("distance", self.lengths)
+        if balls.radius is not None and self.distance is not None:
+            overlap = balls.radius[bond].sum(axis=1) - self.distance
+        self.overlap = self._agreeing("overlap", overlap)
+        self.force = self._force()
+
+    def with_roles(self, roles):
+        """Return the contacts by more columns, those of some roles."""
+        return Contacts(self.table, self.balls, self.bond, self.roles | roles)
 
     def column(self, role):
         """Return the column of a role, shape (nb,), or None."""
         return self.table.numbers(self.roles[role]) if role in self.roles else None
 
-    @cached_property
-    def images(self):
-        """Vectors from the first ball to the second, (nb, d), and through which ends they lead."""
-        position = self.balls.position
-        away = position[self.bond[:, 1]] - position[self.bond[:, 0]]
-        return packing.nearest_images(away, self.balls.periods)
-
-    @cached_property
-    def lengths(self):
-        """Distances by the positions, shape (nb,); of balls at one place there is no normal."""
-        lengths = np.linalg.norm(self.images[0], axis=1)
-        odd = ~((lengths > 0) & (lengths < np.inf))
-        self.table.refuse_any(odd, lambda row: f"these balls are {lengths[row]} apart")
-        return lengths
-
-    @property
-    def normal(self):
-        """From the first ball to the second, shape (nb, d); None without positions."""
-        return self.images[0] / self.lengths[:, None] if self.balls.axes else None
-
-    @cached_property
-    def distance(self):
-        """Of the centres, shape (nb,), or None; as printed, if it is that of the positions."""
-        printed = self.column("distance")
-        return self._agreeing("distance", printed, self.lengths) if self.balls.axes else printed
-
-    @cached_property
-    def overlap(self):
-        """R_i + R_j - distance, shape (nb,), or None; as printed, if it is that of the balls."""
-        printed = self.column("overlap")
-        if self.balls.radius is None or self.distance is None:
-            return printed
-        overlap = self.balls.radius[self.bond].sum(axis=1) - self.distance
-        return self._agreeing("overlap", printed, overlap)
-
-    def _agreeing(self, name, printed, computed):
+    def _agreeing(self, role, computed):
         """Return what the file says, if anything, once it is what follows from the balls."""
-        if printed is None:
-            return computed
+        printed = self.column(role)
+        if printed is None or computed is None:
+            return computed if printed is None else printed
         limit = self.balls.tolerance if self.balls.axes else ROUNDING * np.abs(computed).max()
         self.table.refuse_any(
             ~(np.abs(printed - computed) <= limit),
-            lambda row: f"the {name} is {printed[row]:.6g}, but {computed[row]:.6g} by the balls: "
+            lambda row: f"the {role} is {printed[row]:.6g}, but {computed[row]:.6g} by the balls: "
             "another snapshot, or another column?",
         )
         return printed
 
-    @cached_property
-    def force(self):
-        """Repulsive normal forces, shape (nb,), or None; along the normal, of its components."""
-        force = self.column("force")
-        names = [f"f{x}" for x in AXES[: self.balls.axes]]
-        if not names or any(name not in self.roles for name in names):
+    def _force(self):
+        """Return repulsive forces by their column or, along the normal, by their components."""
+        force, axes = self.column("force"), AXES[: self.balls.axes]
+        if not axes or any(f"f{x}" not in self.roles for x in axes):
             return force
-        along = np.sum(np.stack([self.column(x) for x in names], axis=1) * self.normal, axis=1)
+        along = np.sum(np.stack([self.column(f"f{x}") for x in axes], axis=1) * self.normal, axis=1)
         along *= -1.0 if along.sum() <= 0 else 1.0  # on the first ball, or on the second
         if force is None:
             return along

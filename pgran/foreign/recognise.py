@@ -36,10 +36,7 @@ def read_contacts(table, balls, columns=None):
     bond = bonds_of(table, roles.get("id1", "id1"), roles.get("id2", "id2"), balls)
     table.refuse_any(bond[:, 0] == bond[:, 1], "a ball touches itself")
     contacts = Contacts(table, balls, bond, roles)
-    if unnamed and balls.axes:
-        _recognise(contacts)
-    ordered = {role: roles[role] for role in ROLES if role in roles}
-    return dataclasses.replace(contacts, roles=ordered)
+    return _recognised(contacts) if unnamed and balls.axes else contacts
 
 
 def _renamed(table, columns):
@@ -89,21 +86,20 @@ def _roles_of_balls(table, balls):
     raise FileError(f"{table.path}: {why}; {CURE}")
 
 
-def _recognise(contacts):
-    """Add to the roles of contacts what the geometry tells: distance, force, its components."""
-    roles = contacts.roles
-    if "distance" not in roles and (names := _columns_near(contacts, contacts.lengths)):
-        roles["distance"] = names[0]
-    if "fx" not in roles:
-        roles |= _components(contacts)
-    if {"force", "stiffness"} & roles.keys():
-        return
+def _recognised(contacts):
+    """Return contacts with the roles that the geometry tells: distance, force, its components."""
+    if "distance" not in contacts.roles:
+        names = _columns_near(contacts, contacts.lengths)
+        contacts = contacts.with_roles({"distance": names[0]} if names else {})
+    if "fx" not in contacts.roles:
+        contacts = contacts.with_roles(_components(contacts))
+    if {"force", "stiffness"} & contacts.roles.keys():
+        return contacts
     names = _forces(contacts)
     if len(names) > 1:
         could = f"{', '.join(names[:9])} could each be the force"
         raise FileError(f"{contacts.table.path}: {could}; {CURE}")
-    if names:
-        roles["force"] = names[0]
+    return contacts.with_roles({"force": names[0]} if names else {})
 
 
 def _without_role(contacts):
