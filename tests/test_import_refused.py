@@ -4,6 +4,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from campaigns.fuzz import change_bytes
 from packing_samples import Sample, csv_of, dump, row_of_balls
 
 from pgran.errors import FileError
@@ -146,21 +147,6 @@ def test_claims_cost_no_memory(place):
         tracemalloc.stop()
 
 
-def damaged(good, rng):
-    """Bytes that are cut away, changed, repeated."""
-    bad, (first, last) = bytearray(good), np.sort(rng.integers(0, len(good), 2))
-    match rng.integers(4):
-        case 0:
-            del bad[first:]
-        case 1:
-            del bad[first:last]
-        case 2:
-            bad[first] = rng.integers(256)
-        case 3:
-            bad[first:first] = bad[first:last]
-    return bad
-
-
 @pytest.mark.parametrize("kind", ["dump", "csv"])
 def test_damage_is_refused_or_harmless(call, place, shared_path, kind):
     """No error but pgran's, and nothing half written."""
@@ -173,7 +159,7 @@ def test_damage_is_refused_or_harmless(call, place, shared_path, kind):
     for name in (ATOMS, CONTACTS):
         good = (shared_path / name).read_bytes()
         for _ in range(60):
-            (shared_path / name).write_bytes(damaged(good, rng))
+            (shared_path / name).write_bytes(change_bytes(good, rng))
             done = call(*IMPORT, "--law", "hertz")
             assert done.returncode in (0, 2, 4), done.stderr
             warned = done.stderr.count("pgran: warning: ")

@@ -24,21 +24,16 @@ from pgran.store.si import PREFIXES, SI, prefix_of
 BEADS = SI(length=5e-3, time=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("unit", "expected"),
-    [
-        ("Hz", 1e5 / (2 * math.pi)), ("1/Hz", 2e-5 * math.pi), ("s", 1e-5), ("1/s", 1e5),
-        ("m", 5e-3), ("m/s", 500.0),
-    ],
-)  # fmt: skip
-def test_factors(unit, expected):
-    assert BEADS.factor(unit) == pytest.approx(expected, rel=1e-15)
-    assert SI().factor(unit) is None
-    assert SI().say(unit, 1.0) == ""
+def test_factors():
+    """Of each unit, and in words."""
+    for unit, expected in {
+        "Hz": 1e5 / (2 * math.pi), "1/Hz": 2e-5 * math.pi, "s": 1e-5, "1/s": 1e5,
+        "m": 5e-3, "m/s": 500.0,
+    }.items():  # fmt: skip
+        assert BEADS.factor(unit) == pytest.approx(expected, rel=1e-15)
+        assert SI().factor(unit) is None
+        assert SI().say(unit, 1.0) == ""
     assert SI(time=1.0).factor("m/s") is None
-
-
-def test_units_in_words():
     assert BEADS.say("Hz", 1.0, 0.01) == " (15.92 kHz to 159.2 Hz)"
     assert BEADS.say("m/s", 0.06) == " (30 m/s)"
 
@@ -222,24 +217,17 @@ def test_results_with_different_units(caplog):
 BOUNDS = "-units_length: a unit lies between 1e-99 and 1e+99"
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_impossible_units(call, place):
+    """Whoever gives them is told so, before a run begins."""
+    for words, said in (
         ("continuum -units_time 1", "the box has units by"),
         ("response -units_time 0", "units_time 0"),
         ("response -units_length -1", "units_length -1"),
         ("modes -units_length 5e-324", BOUNDS),
         ("modes -units_length 1.7e308", BOUNDS),
-    ],
-)
-def test_impossible_units(call, place, words, said):
-    """Whoever gives them is told so, before a run begins."""
-    place("m.opts", f"-scene {words}")
-    done = call("run", "m.opts")
-    assert (done.returncode, said in done.stderr) == (2, True), done.stderr
-
-
-@pytest.mark.parametrize("value", [5e-324, 1.7e308, 0.0, -1.0, math.nan])
-def test_units_that_nothing_can_be_converted_to(value):
+    ):
+        place("m.opts", f"-scene {words}")
+        done = call("run", "m.opts")
+        assert (done.returncode, said in done.stderr) == (2, True), done.stderr
     with pytest.raises(InputError, match="-units_time: a unit lies between"):
-        SI(time=value)
+        SI(time=math.nan)
