@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from packing_samples import dump
 
 
 def read_packing(script):
@@ -52,32 +53,23 @@ def contacts_of(packing):
     return np.array(rows)
 
 
-def dump(path, kind, names, rows, packing):
-    """Write rows of numbers with all their digits."""
-    lines = ["ITEM: TIMESTEP", "0", f"ITEM: NUMBER OF {kind}", str(len(rows))]
-    lines += [f"ITEM: BOX BOUNDS {' '.join(2 * x for x in packing['flags'])}"]
-    ends = zip(packing["low"], packing["high"], strict=True)
-    lines += [f"{low:.17g} {high:.17g}" for low, high in ends]
-    lines += [f"ITEM: {kind} {' '.join(names)}"]
-    lines += [" ".join(f"{x:.17g}" for x in row) for row in rows]
-    Path(path).write_text("\n".join([*lines, ""]))
-
-
 def main(script):
     """Write the dumps that the script asks for."""
     packing, text = read_packing(script), Path(script).read_text()
-    place, columns = Path(script).parent, {}
+    balls = {name: packing[name] for name in ("type", "radius", "mass")}
+    balls |= {"id": np.arange(len(packing["type"])) + 1} | dict(
+        zip("xyz", packing["position"].T, strict=False)
+    )
+    first, other, distance, force = contacts_of(packing).T
+    contacts = [first.astype(int) + 1, other.astype(int) + 1, distance, force]
+    box = {"flags": " ".join(2 * x for x in packing["flags"]), "step": 0}
+    box["ends"] = [*zip(packing["low"], packing["high"], strict=True)]
     for kind, name, words in re.findall(r"^dump .* (custom|local) 1 (\S+) (.*)$", text, re.M):
-        columns[kind] = place / name, words.split()
-    number = np.arange(len(packing["type"])) + 1.0
-    balls = {"id": number, "type": packing["type"], "radius": packing["radius"]}
-    balls |= {"mass": packing["mass"], **dict(zip("xyz", packing["position"].T, strict=False))}
-    path, names = columns["custom"]
-    dump(path, "ATOMS", names, np.column_stack([balls[name] for name in names]), packing)
-    path, names = columns["local"]
-    rows = contacts_of(packing)
-    rows[:, :2] += 1
-    dump(path, "ENTRIES", names, rows, packing)
+        names = words.split()
+        columns = balls if kind == "custom" else dict(zip(names, contacts, strict=True))
+        kind = {"custom": "ATOMS", "local": "ENTRIES"}[kind]
+        snapshot = dump(kind, {name: columns[name] for name in names}, **box)
+        (Path(script).parent / name).write_text(snapshot)
 
 
 if __name__ == "__main__":

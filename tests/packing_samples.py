@@ -71,10 +71,10 @@ class Sample:
         place("a.contacts", dump("ENTRIES", dict(zip(names, contacts, strict=True)), digits, flags))
 
 
-def dump(kind, columns, digits=17, flags="pp pp pp", step=7):
-    """Return a snapshot as LAMMPS writes it."""
+def dump(kind, columns, digits=17, flags="pp pp pp", step=7, ends=((0.0, LENGTH),) * 3):
+    """Return a snapshot as LAMMPS writes it, in a box of these ends along each axis."""
     lines = ["ITEM: TIMESTEP", step, f"ITEM: NUMBER OF {kind}", len(next(iter(columns.values())))]
-    lines += [f"ITEM: BOX BOUNDS {flags}", *[f"0 {LENGTH}"] * 3]
+    lines += [f"ITEM: BOX BOUNDS {flags}", *(f"{low:.17g} {high:.17g}" for low, high in ends)]
     lines += [f"ITEM: {kind} {' '.join(columns)}"]
     word = lambda x: f"{x:.{digits}g}" if isinstance(x, float) else str(x)  # noqa: E731
     rows = zip(*columns.values(), strict=True)
