@@ -26,7 +26,7 @@ import numpy as np
 from pgran.catalogue import groups_of, record_kind
 from pgran.errors import BAD_FILE, DONE, FileError, reason_of
 from pgran.store.paths import AT_END, has_seal, open_regular, seal_of, try_beside, whole, writing
-from pgran.store.record import KINDS, MisfitError, Result, axes_of, in_part, plain_value
+from pgran.store.record import KINDS, MisfitError, Result, axes_of, plain_value
 
 FORMAT, FORMAT_VERSION = "pgran", 5
 CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
@@ -165,42 +165,44 @@ def read_result(path):
     with opened(path) as file:
         facts = file.attributes("/")
         file.check_version(facts, FORMAT_VERSION)
-        records, axes = [], {}
+        records = []
         for group in file.members("/", groups_of(str(facts.get("scene")))):
-            try:
-                record = _read_record(file, group, record_kind(group), facts)
-                axes = record.axes if group in ("lattice", "network") else axes
-                record.check(axes)
-            except MisfitError as error:
-                raise FileError(f"{path}: /{group}/{error}") from None
-            records.append(record)
+            axes = records[0].axes if records else {}  # of the medium, which comes first
+            records.append(_read_record(file, group, record_kind(group), facts, axes))
         return Result(records, **facts)
 
 
-def _read_record(file, group, kind, facts):
-    """Return a group as the record that declares it; `facts` are the attributes of the file."""
+def _read_record(file, group, kind, facts, axes):
+    """Return a group as the record that declares it.
+
+    `facts` are the attributes of the file, `axes` the lengths of the medium's axes by name.
+    """
     fields = dataclasses.fields(kind)
     names = [item.name for item in fields]
     there, attributes = file.members(group, names), file.attributes(group, names)
     values = {}
-    for item in fields:
-        name, meta = item.name, item.metadata
-        may_lack = meta.get("optional") or meta.get("since", 1) > facts["format_version"]
-        source = facts if "of_run" in meta else attributes
-        if "part" in meta:
-            inner = meta["part"].group
-            if inner in there:
-                with in_part(inner):
-                    values[name] = _read_record(file, f"{group}/{inner}", meta["part"], facts)
-        elif may_lack and name not in (there if "axes" in meta else source):
-            values[name] = None
-        elif "axes" in meta:
-            values[name] = file.array(f"{group}/{name}", meta["dtype"])
-        elif name in source:
-            values[name] = plain_value(item, source[name])
-        else:
-            file.refuse(f"{group}/{name}", "is missing")
-    return kind(**values)
+    try:
+        for item in fields:
+            name, meta = item.name, item.metadata
+            may_lack = meta.get("optional") or meta.get("since", 1) > facts["format_version"]
+            source = facts if "of_run" in meta else attributes
+            if "part" in meta:
+                inner = f"{group}/{meta['part'].group}"
+                if meta["part"].group in there:
+                    values[name] = _read_record(file, inner, meta["part"], facts, axes)
+            elif may_lack and name not in (there if "axes" in meta else source):
+                values[name] = None
+            elif "axes" in meta:
+                values[name] = file.array(f"{group}/{name}", meta["dtype"])
+            elif name in source:
+                values[name] = plain_value(item, source[name])
+            else:
+                file.refuse(f"{group}/{name}", "is missing")
+        record = kind(**values)
+        record.check(axes or record.axes)
+    except MisfitError as error:
+        raise FileError(f"{file.path}: /{group}/{error}") from None
+    return record
 
 
 @contextlib.contextmanager

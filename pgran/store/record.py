@@ -6,11 +6,10 @@ axis, or counts from 0. `balls` stands for the axes of the lattice, `bonds_x` fo
 along x. An array without axes is a coordinate itself.
 """
 
-import contextlib
 import dataclasses
 import reprlib
 from dataclasses import dataclass
-from types import UnionType
+from types import MappingProxyType, UnionType
 from typing import get_args
 
 import numpy as np
@@ -124,15 +123,6 @@ class MisfitError(ValueError):
     """What a record was given does not fit its declaration."""
 
 
-@contextlib.contextmanager
-def in_part(name):
-    """Say of what does not fit that it is in this part of a record."""
-    try:
-        yield
-    except MisfitError as error:
-        raise MisfitError(f"{name}/{error}") from None
-
-
 class Record:
     """One group of a result; each subclass names it and declares what it holds.
 
@@ -142,6 +132,7 @@ class Record:
 
     group = within = None
     failures = 0
+    axes = MappingProxyType({})  # the lengths of a medium's axes by name
 
     def filled(self):
         """Yield the declaration and the value of each field that has one."""
@@ -150,16 +141,13 @@ class Record:
             if value is not None:
                 yield item, value
 
-    def check(self, lattice_axes):
+    def check(self, axes):
         """Raise a MisfitError unless every array has its declared axes, each as long everywhere.
 
-        `lattice_axes` are the lengths of the lattice's axes by name.
+        `axes` are the lengths of the medium's axes by name. Parts are checked by themselves.
         """
-        lengths = dict(lattice_axes)
+        lengths = dict(axes)
         for item, value in self.filled():
-            if isinstance(value, Record):
-                with in_part(value.group):
-                    value.check(lattice_axes)
             if not {"axes", "along"} & set(item.metadata):
                 continue
             names = axes_of(item, value, lengths.get("axis", 0))
