@@ -116,11 +116,12 @@ def _cautions(made, contacts, options):
     """Say what speaks against the stiffness, or against the rest, of a packing."""
     if not made.network.held.any():
         yield "no ball is held: the network floats and cannot be driven; see --rest and --drive"
-    power, far, clear, words = contacts.power
-    if words:  # something tells the power
-        taken = np.median((made.stiffness * contacts.overlap / contacts.force)[clear])
-        if abs(taken - power) > far:
-            yield f"the stiffness is {taken:.3g} F/h by {options.law or 'its column'}, but {words}"
+    power = contacts.power
+    if power.words:
+        taken = np.median((made.stiffness * contacts.overlap / contacts.force)[power.clear])
+        if abs(taken - power.value) > power.far:
+            by = options.law or "its column"
+            yield f"the stiffness is {taken:.3g} F/h by {by}, but {power.words}"
     if made.error > UNSURE:
         yield f"the digits of overlaps leave a stiffness open by up to {made.error:.1g} of it; " \
             "dump_modify ID format float %.16g prints more of them"  # fmt: skip
@@ -160,7 +161,9 @@ def _summary(made, contacts, options):
         formula = f"hertz, 3/2 c^(2/3) F^(1/3) with c = {options.hertz:g}"
     if made.error:
         formula += f", each to {made.error:.1g} by the digits"
-    yield f"stiffness: {formula}; {k.min():.4g} to {k.max():.4g}; {contacts.power[-1]}".rstrip("; ")
+    yield f"stiffness: {formula}; {k.min():.4g} to {k.max():.4g}; {contacts.power.words}".rstrip(
+        "; "
+    )
     if not contacts.balls.weighed:
         yield "masses: all 1, as the balls have no column mass, or density and radius"
     yield f"omega_mx {network.omega_mx:.4g}, by the stiffest contact, {network.kmax:.4g}, and " \

@@ -4,6 +4,7 @@ What a column holds follows from its name, here; without one, from its numbers: 
 """
 
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -205,9 +206,9 @@ class Contacts:
 
     @cached_property
     def power(self):
-        """What `power_of` says, without words where forces or overlaps are unknown."""
+        """The `Power` of their law, as far as forces and overlaps are known."""
         known = self.force is not None and self.overlap is not None
-        return power_of(*self._measured) if known else (np.nan, np.inf, [], "")
+        return power_of(*self._measured) if known else Power()
 
     def stiffness(self, law, c=None):
         """Return the stiffness of contacts, 0 where balls do not touch, shape (nb,), and its error.
@@ -221,7 +222,7 @@ class Contacts:
         name = law or self.roles.get("stiffness")
         if name is None or name not in self.table:
             lacks = "is needed" if law is None else f"{law}: there is no such column"
-            hint = meant(nearest(law or "", packing.POWERS)) or f"; {self.power[-1]}".rstrip("; ")
+            hint = meant(nearest(law or "", packing.POWERS)) or f"; {self.power.words}".rstrip("; ")
             raise InputError(f"--law {lacks}; it is hertz, harmonic, or one of {self.table}{hint}")
         apart = np.zeros(len(self.bond), dtype=bool)
         if self.force is not None and self.overlap is not None:
@@ -245,24 +246,31 @@ class Contacts:
         self.table.refuse_any(
             touch & ~((force > 0) & (overlap > 0)),
             lambda row: f"a {law} contact has no force of {force[row]:.6g} at an overlap of "
-            f"{overlap[row]:.6g}; {self.power[-1]}".rstrip("; "),
+            f"{overlap[row]:.6g}; {self.power.words}".rstrip("; "),
         )
         return np.divide(power * force, overlap, out=np.zeros(len(force)), where=touch), error
 
 
+class Power(NamedTuple):
+    """The power of a law of contacts, and what it rests on."""
+
+    value: float = np.nan
+    far: float = np.inf  # how far another power is from it for certain
+    clear: np.ndarray | None = None  # which contacts tell it
+    words: str = ""  # none where nothing tells it
+
+
 def power_of(force, overlap, error, scales):
-    """Return the power of the law F = c h^power, and what tells it.
+    """Return the power of the law F = c h^power, unless overlaps are too few or too similar.
 
     c is one number, or goes like R^(power - 1), R = R_i R_j / (R_i + R_j), as of one material: then
-    F R = c (h R)^power. `scales` are 1 and R, `error` is what rounding changes h by, at most. With
-    the power come how far another is from it for certain, which contacts tell it, and words, none
-    where overlaps are too few or too similar.
+    F R = c (h R)^power. `scales` are 1 and R, `error` is what rounding changes h by, at most.
     """
     weight = overlap / error
     clear = (force > 0) & (weight > CLEAR) & (weight < np.inf)
     F, h, weight = np.log(force[clear]), np.log(overlap[clear]), weight[clear]
     if len(h) < FEWEST or min(np.ptp(F), np.ptp(h)) < SHORTEST_RANGE:
-        return np.nan, np.inf, clear, ""
+        return Power()
     logs = [np.broadcast_to(np.log(r), clear.shape)[clear] for r in scales]
     lines = [np.polyfit(F + r, h + r, 1, w=weight, cov=True) for r in logs]
     best = int(np.argmin([spread[0, 0] for _, spread in lines]))
@@ -270,10 +278,10 @@ def power_of(force, overlap, error, scales):
     power, scatter = 1 / line[0], np.var(h + logs[best] - np.polyval(line, x))
     sigma = power**2 * (np.sqrt(spread[0, 0]) + power * scatter / np.var(x))
     far = POWER_GAP + 3 * sigma
-    known = packing.POWERS.items()
-    laws = [f": --law {law} fits" for law, exponent in known if abs(exponent - power) < far]
-    fits = laws[0] if len(laws) == 1 else ""
-    return power, far, clear, f"forces go like h^({power:.3g} +- {sigma:.1g}), h the overlap{fits}"
+    laws = [law for law, other in packing.POWERS.items() if abs(other - power) < far]
+    fits = f": --law {laws[0]} fits" if len(laws) == 1 else ""
+    words = f"forces go like h^({power:.3g} +- {sigma:.1g}), h the overlap{fits}"
+    return Power(power, far, clear, words)
 
 
 def overlaps_by_law(force, overlap, error, scales, power):
