@@ -11,8 +11,7 @@ import numpy as np
 from pgran.command.words import Parser, magnitude, positive
 from pgran.errors import DONE, InputError
 from pgran.foreign.assemble import assemble
-from pgran.foreign.contacts import AXES, ROLES, Balls
-from pgran.foreign.recognise import read_contacts
+from pgran.foreign.contacts import AXES, ROLES, Balls, read_contacts
 from pgran.foreign.tables import read_graph, read_table
 from pgran.medium.checks import KINDS
 from pgran.medium.network_file import check_output, write_network
