@@ -176,26 +176,24 @@ def _roles_of_balls(table, balls):
     known = {name: np.isin(values, balls.id) for name, values in table.columns.items()}
     ids = [name for name, each in known.items() if np.mean(each) >= ID_PART]
     scored = []
-    for pair in itertools.combinations(ids[:12], 2):
-        a, b = pair
-        right = known[a] & known[b] & (table.columns[a] != table.columns[b])
+    for one, other in itertools.combinations(ids[:12], 2):
+        right = known[one] & known[other] & (table.columns[one] != table.columns[other])
         if np.mean(right) >= ID_PART:
-            some = table.of_rows(right)
-            bond = _bonds(some, a, b, balls)
-            contacts = Contacts(some, balls, bond, {"id1": a, "id2": b})
+            some, roles = table.of_rows(right), {"id1": one, "id2": other}
+            contacts = Contacts(some, balls, _bonds(some, one, other, balls), roles)
             distances = _columns_near(contacts, contacts.lengths)
             told = sum(map(bool, (distances, _forces(contacts), _components(contacts))))
-            scored.append(((told, np.mean(right)), pair, bond))
+            scored.append(((told, np.mean(right)), contacts))
     # (how many things the other columns are, in how many rows they hold balls): the most wins
-    best = max((score for score, *_ in scored), default=(0, 0.0))
-    pairs = [(pair, bond) for score, pair, bond in scored if score == best]
+    best = max((score for score, _ in scored), default=(0, 0.0))
+    likely = [contacts for score, contacts in scored if score == best]
     if not best[0]:
         why = "no two columns hold ids of balls whose distance or force another column holds"
-    elif any(not np.array_equal(bond, pairs[0][1]) for _, bond in pairs):
-        names = ", or ".join(" and ".join(pair) for pair, _ in pairs[:5])
+    elif any(not np.array_equal(each.bond, likely[0].bond) for each in likely):
+        names = ", or ".join(" and ".join(each.roles.values()) for each in likely[:5])
         why = f"the balls could be in {names}, by the geometry"
     else:
-        return dict(zip(("id1", "id2"), pairs[0][0], strict=True))
+        return likely[0].roles
     raise FileError(f"{table.path}: {why}; {CURE}")
 
 
