@@ -97,7 +97,7 @@ def _positions(table):
     # LAMMPS prints coordinates as x, unwrapped as xu, in units of the box as xs, or both as xsu
     ending = next((end for end in ("", "u", "s", "su") if f"x{end}" in table), None)
     if ending is None:
-        if isinstance(table.places, list):  # a graph may lie nowhere
+        if table.places.dtype.kind == "U":  # a graph may lie nowhere
             return None, np.empty(0)
         table.numbers("x")
     axes = "xyz" if f"z{ending}" in table else "xy"
@@ -379,10 +379,10 @@ class Contacts:
             lacks = "is needed" if law is None else f"{law}: there is no such column"
             hint = meant(nearest(law or "", packing.POWERS)) or f"; {self.power.words}".rstrip("; ")
             raise InputError(f"--law {lacks}; it is hertz, harmonic, or one of {self.table}{hint}")
-        apart = np.zeros(len(self.bond), dtype=bool)
+        stiffness = self.table.numbers(name)
         if self.force is not None and self.overlap is not None:
-            apart = (self.force == 0) & (self.overlap <= 0)
-        return np.where(apart, 0.0, self.table.numbers(name)), 0.0
+            stiffness = np.where((self.force == 0) & (self.overlap <= 0), 0.0, stiffness)
+        return stiffness, 0.0
 
     def _by_law(self, law, c):
         """Return the stiffness by force and overlap, or by the force alone, and its error."""

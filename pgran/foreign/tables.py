@@ -38,7 +38,7 @@ class Table:
     path: str
     columns: dict
     texts: dict
-    places: list
+    places: np.ndarray
     step: int | None = None
     snapshots: int = 1
     box: Box | None = None
@@ -63,8 +63,7 @@ class Table:
     def of_rows(self, chosen):
         """Return the table of some rows, chosen by truth, shape (rows,)."""
         columns = {name: values[chosen] for name, values in self.columns.items()}
-        places = [self.places[row] for row in np.flatnonzero(chosen)]
-        return dataclasses.replace(self, columns=columns, places=places)
+        return dataclasses.replace(self, columns=columns, places=self.places[chosen])
 
     def numbers(self, name, positive=False):
         """Return a column; refuse it unless all of it is finite, and maybe positive, numbers."""
@@ -119,8 +118,7 @@ def _read_csv(lines, header):
     names = split(header)
     if any(is_number(name) or not name for name in names):
         lines.refuse("the first line must name the columns, without #")
-    rows = ((lines.number, split(line)) for line in iter(lines.next_content, None))
-    return Table(lines.path, *_collect(lines, names, rows))
+    return _read_rows(lines, names, map(split, iter(lines.next_content, None)))
 
 
 def _read_dump(lines):
@@ -151,10 +149,10 @@ def _read_dump(lines):
         else:
             lines.need("head")  # of a line such as ITEM: TIME
     rows = (lines.need(f"{count} rows").split() for _ in range(count))
-    collected = _collect(lines, names, ((lines.number, words) for words in rows))
+    table = _read_rows(lines, names, rows)
     if (line := lines.next()) is not None and line.strip():
         lines.refuse(f"more than the {count} rows that were announced")
-    return Table(lines.path, *collected, step, snapshots, box)
+    return dataclasses.replace(table, step=step, snapshots=snapshots, box=box)
 
 
 def _natural(lines, what):
@@ -183,36 +181,42 @@ def _read_box(lines, flags):
     return Box(*np.array(ends).T, np.array([flag == "pp" for flag in flags]))
 
 
-def _collect(lines, names, rows):
-    """Return columns, columns of other texts, and the lines of rows given as (number, words)."""
+def _read_rows(lines, names, rows):
+    """Return the table of rows of lines, given as their words."""
     twice = [name for name in names if names.count(name) > 1]
     if twice or not names:
         lines.refuse(f"two columns are called {twice[0]!r}" if twice else "names no columns")
+
+    def placed():
+        for words in rows:
+            if len(words) != len(names):
+                lines.refuse(f"{len(words)} words where the columns are {len(names)}")
+            yield lines.number, words
+
+    table = _table(lines.path, names, placed())
+    if table is None:
+        lines.refuse("there are no rows")
+    return table
+
+
+def _table(path, names, rows):
+    """Return the table of rows given as (place, words), None if there are none."""
     blocks, texts, places, done = {name: [] for name in names}, {}, [], 0
     while block := list(itertools.islice(rows, BLOCK)):
-        for number, words in block:
-            if len(words) != len(names):
-                lines.refuse(f"{len(words)} words where the columns are {len(names)}", number)
-        numbers, parted = zip(*block, strict=True)
-        places.append(np.array(numbers))
-        for name, words in zip(names, zip(*parted, strict=True), strict=True):
-            column, wrong = _numbers(words)
-            blocks[name].append(column)
-            if wrong is not None:
-                texts.setdefault(name, (done + wrong, words[wrong]))
+        where, words_of = zip(*block, strict=True)
+        places.append(np.array(where))
+        for name, words in zip(names, zip(*words_of, strict=True), strict=True):
+            try:
+                blocks[name].append(np.array(words, dtype=float))
+            except (TypeError, ValueError, OverflowError):
+                wrong = (row for row, word in enumerate(words) if not is_number(str(word)))
+                row = next(wrong, 0)
+                texts.setdefault(name, (done + row, str(words[row])))
         done += len(block)
     if not done:
-        lines.refuse("there are no rows")
+        return None
     columns = {name: np.concatenate(blocks[name]) for name in names if name not in texts}
-    return columns, texts, np.concatenate(places)
-
-
-def _numbers(words):
-    """Return words as numbers, and the row of the first that is none, or None."""
-    try:
-        return np.array(words, dtype=float), None
-    except (TypeError, ValueError, OverflowError):
-        return None, next((k for k, word in enumerate(words) if not is_number(str(word))), 0)
+    return Table(path, columns, texts, np.concatenate(places))
 
 
 def read_graph(path):
@@ -236,25 +240,18 @@ def read_graph(path):
     names = [str(name) for name, _ in nodes]
     numbered = all(name.isascii() and name.isdigit() and len(name) < 16 for name in names)
     ids = {name: int(name) if numbered else k for k, name in enumerate(names)}
-    balls = [{**data, "id": ids[str(name)]} for name, data in nodes]
-    pairs = [{**data, "id1": ids[str(a)], "id2": ids[str(b)]} for a, b, data in edges]
-    return (
-        _table_of(path, balls, [f"node {name}" for name in names], "nodes"),
-        _table_of(path, pairs, [f"edge {a} - {b}" for a, b, _ in edges], "edges"),
-        names,
-    )
-
-
-def _table_of(path, rows, places, what):
-    """Return the table of rows given as dictionaries; NaN where one lacks a number."""
-    if not rows:
-        raise FileError(f"{path}: has no {what}")
-    columns, texts = {}, {}
-    for name in dict.fromkeys(name for row in rows for name in row):
-        words = [row.get(name, np.nan) for row in rows]
-        column, wrong = _numbers(words)
-        if wrong is None:
-            columns[str(name)] = column
-        else:
-            texts[str(name)] = (wrong, str(words[wrong]))
-    return Table(path, columns, texts, places)
+    balls = [(f"node {name}", {**data, "id": ids[str(name)]}) for name, data in nodes]
+    pairs = [
+        (f"edge {a} - {b}", {**data, "id1": ids[str(a)], "id2": ids[str(b)]})
+        for a, b, data in edges
+    ]
+    tables = []
+    for rows, what in ((balls, "nodes"), (pairs, "edges")):
+        columns = [*dict.fromkeys(name for _, row in rows for name in row)]
+        # NaN where a row lacks a number
+        words = ((place, [row.get(name, np.nan) for name in columns]) for place, row in rows)
+        table = _table(path, columns, words)
+        if table is None:
+            raise FileError(f"{path}: has no {what}")
+        tables.append(table)
+    return *tables, names

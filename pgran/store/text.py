@@ -32,9 +32,9 @@ class Lines:
         self.path, self._stream, self.number = path, stream, 0
         self.ended = True  # whether the present line has its end
 
-    def refuse(self, why, number=None):
-        """Raise a FileError about a line, the present one unless another is named."""
-        raise FileError(f"{self.path}:{number or max(self.number, 1)}: {why}")
+    def refuse(self, why):
+        """Raise a FileError about the present line."""
+        raise FileError(f"{self.path}:{max(self.number, 1)}: {why}")
 
     def next(self):
         """Return the next line without its end, or None after the last one."""
