@@ -87,9 +87,9 @@ def _parser():
 
 
 def _direction(text):
-    """Return the name of an axis, or the components of a direction."""
+    """Return the components of a direction, which may be the name of an axis."""
     if text in tuple(AXES):
-        return text
+        return np.eye(3)[AXES.index(text)]
     with contextlib.suppress(ValueError):
         components = np.array([float(word) for word in text.split(",")])
         if len(components) in (2, 3) and 0 < np.linalg.norm(components) < math.inf:

@@ -105,7 +105,7 @@ def assemble(contacts, options, names=None):
         if shear is not None:
             members["tangential"] = shear[rows]
             attributes["kmax"] = max(attributes["kmax"], float(np.abs(shear[touch]).max()))
-        attributes["direction"] = _components(options.direction, balls.axes)
+        attributes["direction"] = _unit_vector(options.direction, balls.axes)
     if options.law in packing.POWERS and "force" in members and np.all(force[rows] > 0):
         attributes["power"] = packing.POWERS[options.law]
     if balls.axes:
@@ -142,13 +142,9 @@ def _crossing(contacts, cut):
     return across
 
 
-def _components(direction, axes):
-    """Return the direction of the drive, an axis or components, as components of length 1."""
-    if direction is None or isinstance(direction, str):
-        axis = AXES.index(direction or "x")
-        if axis >= axes:
-            raise InputError(f"--direction {direction}: the packing has {axes} axes")
-        return np.eye(axes)[axis]
-    if len(direction) != axes:
+def _unit_vector(direction, axes):
+    """Return the direction of the drive, as components of length 1; along x unless given."""
+    direction = np.eye(3)[0] if direction is None else direction
+    if len(direction) < axes or np.any(direction[axes:]):
         raise InputError(f"--direction: the packing has {axes} axes")
-    return direction / np.linalg.norm(direction)
+    return direction[:axes] / np.linalg.norm(direction)
