@@ -38,7 +38,7 @@ def test_factors():
     assert BEADS.say("m/s", 0.06) == " (30 m/s)"
 
 
-@pytest.mark.parametrize("unit", ["Hz", "1/Hz", "s", "m", "m/s"])
+@pytest.mark.parametrize("unit", ["Hz", "1/Hz", "m/s"])
 def test_prefixes_keep_the_value(unit):
     """Number times prefix is the value, and the number lies between 1 and 1000."""
     powers = {prefix: 1000.0**step for step, prefix in PREFIXES.items()}
