@@ -203,9 +203,9 @@ def _table(path, names, rows):
     """Return the table of rows given as (place, words), None if there are none."""
     blocks, texts, places, done = {name: [] for name in names}, {}, [], 0
     while block := list(itertools.islice(rows, BLOCK)):
-        where, words_of = zip(*block, strict=True)
-        places.append(np.array(where))
-        for name, words in zip(names, zip(*words_of, strict=True), strict=True):
+        places.append(np.array([place for place, _ in block]))
+        for k, name in enumerate(names):
+            words = [words[k] for _, words in block]
             try:
                 blocks[name].append(np.array(words, dtype=float))
             except (TypeError, ValueError, OverflowError):
