@@ -68,35 +68,36 @@ def test_six_digits(call, place, here):
     np.testing.assert_allclose(read_network("n.h5").stiffness, known, rtol=2e-4)
 
 
-@pytest.mark.parametrize("digits", [6, 9])
 @pytest.mark.parametrize(
     ("law", "pressure"), [("hertz", 1e-3), ("hertz", 1e-6), ("hertz", 3e-8), ("harmonic", 1e-4)]
 )
-def test_rounding_of_overlaps(call, place, here, law, pressure, digits):
+def test_rounding_of_overlaps(call, place, here, law, pressure):
     """By all contacts their law is known better than by one; it says how well, and which it is."""
     packing = pgran.pack(100, law=law, pressure=pressure, seed=4)
     unit, ball = LENGTH / packing.box[0], np.arange(len(packing.held)) + 1
     x, y = packing.position.T * unit
-    columns = {"id": ball, "x": x, "y": y, "z": 0 * x, "radius": packing.radius * unit}
-    place("a.atoms", dump("ATOMS", columns, digits))
-    columns = dict(zip("ij", packing.bond.T + 1, strict=True))
-    columns |= {"distance": packing.distance * unit, "force": packing.force * 1e-7}
-    place("a.contacts", dump("ENTRIES", columns, digits))
-    names, (wrong,) = ("import", "a.atoms", "a.contacts", "-o"), {"hertz", "harmonic"} - {law}
-    done = call(*names, "n.h5", "--law", law)
-    off = np.abs(read_network("n.h5").stiffness * unit * 1e7 / packing.stiffness - 1).max()
-    said = float(re.search(r"each to (\S+) by the digits", done.stdout)[1])
-    unsure = "the digits of overlaps leave a stiffness open" in done.stderr
-    assert unsure == (said > 1e-2)
-    assert off < (1.1 * said if unsure else min(1.1 * said, 2e-3))  # it is rounded itself
-    assert not re.search("but forces go|on a free ball", done.stderr)
-    assert "masses: all 1, as the balls" in done.stdout
-    assert "; --damping" in done.stderr  # forces are 1e-7 of those where .003 is a damping
-    if not unsure:
-        fits = re.compile(rf"forces go like h\^\(\S+ \+- \S+\), h the overlap: --law {law} fits")
-        assert fits.search(done.stdout)
-        assert fits.search(call(*names, "m.h5").stderr), "--law is needed"
-        assert fits.search(call(*names, "m.h5", "--law", wrong).stderr)
+    balls = {"id": ball, "x": x, "y": y, "z": 0 * x, "radius": packing.radius * unit}
+    contacts = dict(zip("ij", packing.bond.T + 1, strict=True))
+    contacts |= {"distance": packing.distance * unit, "force": packing.force * 1e-7}
+    words = "import", "a.atoms", "a.contacts", "--overwrite", "-o", "n.h5"
+    (wrong,) = {"hertz", "harmonic"} - {law}
+    fits = re.compile(rf"forces go like h\^\(\S+ \+- \S+\), h the overlap: --law {law} fits")
+    for digits in (6, 9):
+        place("a.atoms", dump("ATOMS", balls, digits))
+        place("a.contacts", dump("ENTRIES", contacts, digits))
+        done = call(*words, "--law", law)
+        off = np.abs(read_network("n.h5").stiffness * unit * 1e7 / packing.stiffness - 1).max()
+        said = float(re.search(r"each to (\S+) by the digits", done.stdout)[1])
+        unsure = "the digits of overlaps leave a stiffness open" in done.stderr
+        assert unsure == (said > 1e-2)
+        assert off < (1.1 * said if unsure else min(1.1 * said, 2e-3))  # it is rounded itself
+        assert not re.search("but forces go|on a free ball", done.stderr)
+        assert "masses: all 1, as the balls" in done.stdout
+        assert "; --damping" in done.stderr  # forces are 1e-7 of those where .003 is a damping
+        if not unsure:
+            assert fits.search(done.stdout)
+            assert fits.search(call(*words).stderr), "--law is needed"
+            assert fits.search(call(*words, "--law", wrong).stderr)
 
 
 def test_forces_given_by_components(call, place, here):

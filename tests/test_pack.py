@@ -40,6 +40,8 @@ def test_walls_hold_both_ends():
     assert x[network.held == 1].max() < x[network.held == 0].mean() < x[network.held == 2].min()
     across = np.abs(np.diff(x[network.bond], axis=1))
     assert across.max() < 2 * network.radius.max()  # no contact leads through the ends
+    response = pgran.sweep(network, [0.3 * network.omega_mx], network.free[:1], method="points")
+    assert response.error_bound[0, 0] <= 1e-4 * abs(response.displacement[0, 0])
 
 
 def test_a_heap_between_walls_stands_on_a_floor_at_rest():
@@ -68,6 +70,8 @@ def test_a_part_of_a_wall_drives():
     assert np.all(np.any(network.held[network.bond] == 0, axis=1))
     periodic = pgran.pack(80, pressure=1e-2, seed=2, rest="x<1.5", drive="x>max-1.5")
     assert np.all(periodic.box > 0)
+    response = pgran.sweep(periodic, [0.3 * periodic.omega_mx], periodic.free[:1], method="points")
+    assert response.error_bound[0, 0] <= 1e-4 * abs(response.displacement[0, 0])
 
 
 @pytest.mark.parametrize("law", ["harmonic", 2.0])
