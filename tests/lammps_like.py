@@ -3,13 +3,12 @@
 Contacts are those of all pairs of balls and all their images, one by one.
 """
 
-import itertools
 import re
 import sys
 from pathlib import Path
 
 import numpy as np
-from packing_samples import dump
+from packing_samples import dump, pairs_in
 
 
 def read_packing(script):
@@ -40,17 +39,13 @@ def read_packing(script):
 def contacts_of(packing):
     """Return pairs, distances and forces of all balls that overlap, a row each."""
     power = {"gran/hooke/history": 1.0, "gran/hertz/history": 1.5}[packing["style"]]
-    shifts = itertools.product(*[{-x, 0.0, x} for x in packing["periods"]])
-    position, radius, rows = packing["position"], packing["radius"], []
-    for shift in map(np.array, shifts):
-        away = position[None] + shift - position[:, None]
-        distance = np.linalg.norm(away, axis=2)
-        for i, j in np.argwhere(np.triu(distance < radius[:, None] + radius, 1)):
-            overlap = radius[i] + radius[j] - distance[i, j]
-            rounded = (radius[i] * radius[j] / (radius[i] + radius[j])) ** (power - 1)
-            force = packing["modulus"] * rounded * overlap**power
-            rows.append((i, j, distance[i, j], force))
-    return np.array(rows)
+    radius = packing["radius"]
+    found = pairs_in(packing["position"], radius, packing["periods"])
+    i, j = found[:, :2].astype(int).T
+    overlap = radius[i] + radius[j] - found[:, -1]
+    rounded = (radius[i] * radius[j] / (radius[i] + radius[j])) ** (power - 1)
+    force = packing["modulus"] * rounded * overlap**power
+    return np.column_stack([i, j, found[:, -1], force])
 
 
 def main(script):

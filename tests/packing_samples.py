@@ -11,6 +11,20 @@ from pgran.medium.network_file import read_network
 LENGTH, HERTZ = 5.0, 2.5
 
 
+def pairs_in(position, radius, periods, reach=0.0):
+    """All pairs of balls whose surfaces are less than `reach` apart, of all images one by one.
+
+    A row each: the two balls, the vector from the first to the other, and its length.
+    """
+    rows = []
+    for shift in itertools.product(*({-x, 0.0, x} for x in periods)):
+        away = position[None] + shift - position[:, None]
+        distance = np.linalg.norm(away, axis=2)
+        for i, j in np.argwhere(np.triu(distance < radius[:, None] + radius + reach, 1)):
+            rows.append((i, j, *away[i, j], distance[i, j]))
+    return np.array(rows)
+
+
 class Sample:
     """Balls at random in a periodic cube, and all pairs that touch or nearly do."""
 
@@ -20,22 +34,15 @@ class Sample:
         self.axes, self.id = axes, rng.permutation(900)[:count] + 1
         self.position = rng.random((count, axes)) * LENGTH
         self.radius, self.mass = rng.uniform(0.3, 0.5, count), rng.uniform(1, 2, count)
-        rows = []
-        shifts = np.array([*itertools.product((-LENGTH, 0, LENGTH), repeat=axes)])
-        for i, j in itertools.combinations(range(count), 2):
-            i, j = (i, j) if rng.random() < 0.5 else (j, i)
-            images = self.position[j] + shifts - self.position[i]
-            distance = np.sqrt(np.sum(images**2, axis=1))
-            away, distance = images[np.argmin(distance)], distance.min()
-            h = self.radius[i] + self.radius[j] - distance
-            if h > -0.1:
-                force = max(h, 0) ** 1.5 * HERTZ if law == "hertz" else max(h, 0) * HERTZ
-                rows.append((i, j, *away / distance, distance, h, force))
-        self.bond = np.array([row[:2] for row in rows])
-        self.normal = np.array([row[2 : 2 + axes] for row in rows])
-        self.distance, self.overlap, self.force = np.array([row[-3:] for row in rows]).T
+        found = pairs_in(self.position, self.radius, [LENGTH] * axes, reach=0.1)
+        turned = rng.random(len(found)) < 0.5
+        self.bond = np.where(turned[:, None], found[:, [1, 0]], found[:, [0, 1]]).astype(int)
+        self.distance = found[:, -1]
+        self.normal = found[:, 2:-1] / np.where(turned, -1, 1)[:, None] / self.distance[:, None]
+        self.overlap = self.radius[self.bond].sum(axis=1) - self.distance
         self.touch = self.overlap > 0
-        h = np.where(self.touch, self.overlap, 1)
+        h = np.maximum(self.overlap, 0)
+        self.force = HERTZ * (h**1.5 if law == "hertz" else h)
         k = 1.5 * HERTZ * np.sqrt(h) if law == "hertz" else HERTZ
         self.stiffness = np.where(self.touch, k, 0)
 
