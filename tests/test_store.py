@@ -243,7 +243,7 @@ def test_every_changed_byte_is_found_and_none_does_harm(tmp_path):
     store.write(path, ATTRIBUTES, [make(kind, (1, 1)) for kind in kinds])
     whole = path.read_bytes()
     rng, size = np.random.default_rng(3), len(whole)
-    for place in [*range(0, 600, 7), *range(size - 600, size, 7), *rng.integers(0, size, 300)]:
+    for place in [*range(0, 600, 11), *range(size - 600, size, 11), *rng.integers(0, size, 150)]:
         changed = bytearray(whole)
         changed[place] ^= 1 << rng.integers(8)
         path.write_bytes(changed)
