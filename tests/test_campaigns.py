@@ -193,7 +193,7 @@ def test_estimates_are_judged(monkeypatch, capsys):
     said = capsys.readouterr().out
     assert ended.value.code in (0, 1)  # two repeats tell nothing more
     assert bool(ended.value.code) == (not said.endswith("\n0 fail\n"))
-    assert said.count("withheld") == 9  # of 8, 20, 40 samples 3, 2, 2; of short curves 2
+    assert said.count("withheld") == 7  # of 8, 20, 40 samples 3, 2, 2
 
     rng = np.random.default_rng(1)
     for bias, claim, failures in ((0, 1, 0), (0.6, 1, 1), (0, 0.6, 1), (0, 2, 1)):
