@@ -28,9 +28,9 @@ from pgran.driven.operators import Operators  # noqa: E402
 from pgran.driven.steady import SteadySolver  # noqa: E402
 from pgran.errors import InputError  # noqa: E402
 from pgran.medium.crystals import random_geometric  # noqa: E402
-from pgran.medium.graph import part  # noqa: E402
+from pgran.medium.graph import subnetwork  # noqa: E402
+from pgran.medium.law import draw_changes  # noqa: E402
 from pgran.medium.network_file import read_network  # noqa: E402
-from pgran.medium.redraw import draw_changes  # noqa: E402
 from pgran.run.crew import Crew  # noqa: E402
 
 WORLD, ALONE = MPI.COMM_WORLD, MPI.COMM_SELF
@@ -185,7 +185,7 @@ def packing_modes(name, turning, balls=None):
         shear = 0.8 * network.stiffness
         network = dataclasses.replace(network, displacement="rotations", tangential=shear)
     if balls:
-        network = part(network, network.free[:balls])
+        network = subnetwork(network, network.free[:balls])
     return whole_spectrum(network, (int(network.free[0]),), "dense")
 
 

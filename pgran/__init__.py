@@ -40,7 +40,7 @@ _HOMES = {
     "plot": "pgran.command.plot",
     "project": "pgran.experiments.modes.projection",
     "pulse": "pgran.experiments.pulse.scene",
-    "redrawn": "pgran.medium.redraw",
+    "redrawn": "pgran.medium.law",
     "relax": "pgran.experiments.relaxation.scene",
     "sensitivity": "pgran.experiments.sensitivity.scene",
     "sound": "pgran.medium.statics",

@@ -64,7 +64,7 @@ MEASURES = _ours("likeness", "compare")  # what results are measured by, which n
 POINTS = ("sensitivity",)  # of their results a figure of several has points, which need no labels
 
 # The modules of records and of figures by group; the medium, whose axes others share, comes first.
-RECORDS = dict.fromkeys(("lattice", "network"), "pgran.medium.record")
+RECORDS = {"lattice": "pgran.medium.record", "network": "pgran.medium.network"}
 FIGURES = {"network": "pgran.draw.network"}
 
 

@@ -9,7 +9,7 @@ from samples import random_lattice
 
 import pgran
 from pgran import results
-from pgran.medium.record import record_of
+from pgran.medium.base import record_of
 
 LATTICE = random_lattice((4, 3), seed=5, mass=0.25)
 UNIT = LATTICE.omega_mx  # 2

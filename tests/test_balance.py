@@ -17,7 +17,7 @@ from pgran.balance.motion import Balls, ContactLaw, Motion, listed, near_pairs
 from pgran.balance.networks import balls_of, contact_changes, grown
 from pgran.balance.pack import packed_network
 from pgran.errors import InputError
-from pgran.medium.graph import loose_balls, part
+from pgran.medium.graph import loose_balls, subnetwork
 from pgran.medium.network_file import read_network
 
 PACKINGS = Path(__file__).parents[1] / "options" / "packings"
@@ -223,7 +223,7 @@ def test_rattlers_are_left_without_contacts_that_bear_what_rounding_left(caplog)
     caplog.set_level("INFO", "pgran")
     whole = cells(0.01, 0.01, 1e-15)
     apart = whole.position - 0.1 * (np.arange(12) == 11)[:, None]
-    two = dataclasses.replace(part(whole, contacts=range(8)), position=apart)
+    two = dataclasses.replace(subnetwork(whole, contacts=range(8)), position=apart)
     for network, undecided in ((two, 0), (whole, 1)):
         caplog.clear()
         rest = pgran.equilibrate(network)

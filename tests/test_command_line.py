@@ -17,8 +17,8 @@ import pgran
 import pgran.__main__ as program
 from pgran import __version__, load
 from pgran.errors import FileError
+from pgran.medium.base import record_of
 from pgran.medium.network_file import write_network
-from pgran.medium.record import record_of
 from pgran.store import file as store
 
 OPENING = "pgran: response of a 6 x 5 lattice, bonds uniform on [0, 0.25], seed 1993, beta 0.003, "

@@ -16,9 +16,8 @@ import pgran
 from pgran.command.resolve import resolve
 from pgran.driven.certify import smallest_damping
 from pgran.errors import InputError
+from pgran.medium.base import record_of
 from pgran.medium.network_file import parts_of, read_network, write_network
-from pgran.medium.record import record_of
-from pgran.medium.redraw import with_constants
 from pgran.medium.sample import make_lattice
 from pgran.medium.springs import quadratic
 from pgran.run.crew import Crew
@@ -70,7 +69,7 @@ def test_each_step_of_a_relaxation_has_the_dashpots_of_its_bonds(law, world):
         for found in ways:
             error = abs(found.displacement[0, step, 0] - exact)
             assert error <= found.error_bound[0, step, 0] + 1e-11 * abs(exact)
-    changed = with_constants(lattice, lattice.constants[::-1])
+    changed = lattice.with_constants(lattice.constants[::-1])
     assert changed.damping_reference == lattice.damping_reference
 
 

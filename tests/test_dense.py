@@ -17,8 +17,8 @@ from pgran.errors import InputError, PgranError
 from pgran.experiments.modes import dense
 from pgran.experiments.modes.dense import enclosure, whole_spectrum
 from pgran.experiments.modes.scene import certificate
+from pgran.medium.base import record_of
 from pgran.medium.crystals import random_geometric
-from pgran.medium.record import record_of
 from pgran.medium.springs import stiffness_matrix
 from pgran.run import machine
 from pgran.run.crew import Crew

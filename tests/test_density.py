@@ -14,8 +14,8 @@ import pgran
 from pgran.command.resolve import resolve
 from pgran.driven.counting import ModeCounter
 from pgran.experiments.modes import density
+from pgran.medium.base import record_of
 from pgran.medium.lattice import Lattice
-from pgran.medium.record import record_of
 from pgran.run.crew import Crew
 from pgran.run.options import read_words
 

@@ -7,7 +7,7 @@ import pytest
 from petsc4py import PETSc
 from samples import random_lattice, steady
 
-from pgran.medium.dissection import dissected
+from pgran.medium.bonds import dissected
 
 SHAPES = [(1,), (9,), (1, 1), (1, 7), (2, 3), (8, 8), (13, 4), (1, 4, 3), (3, 1, 2), (5, 4, 6)]
 

@@ -18,8 +18,8 @@ from pgran.experiments.ensemble import scene
 from pgran.experiments.ensemble.sampling import over_samples
 from pgran.experiments.ensemble.scene import KEPT
 from pgran.experiments.relaxation.fluctuations import Series, mean_order, power_spectrum
+from pgran.medium.base import record_of
 from pgran.medium.crystals import triangular
-from pgran.medium.record import record_of
 from pgran.medium.sample import make_lattice
 from pgran.run.options import read_words
 from pgran.store.record import Result

@@ -10,8 +10,8 @@ import pgran
 from pgran.command.resolve import resolve
 from pgran.errors import FileError, InputError
 from pgran.experiments.ensemble import sampling
+from pgran.medium.base import record_of
 from pgran.medium.network_file import parts_of, write_network
-from pgran.medium.record import record_of
 from pgran.run.options import read_words
 from pgran.store import file as store
 

@@ -15,8 +15,8 @@ from pgran import __main__ as program
 from pgran.command.export import export
 from pgran.errors import FileError, PgranError
 from pgran.experiments.relaxation import fluctuations
+from pgran.medium.base import record_of
 from pgran.medium.crystals import crystal
-from pgran.medium.record import record_of
 from pgran.store import file as store
 from pgran.store.record import Result
 

@@ -16,7 +16,7 @@ from pgran.draw import pages as figures
 from pgran.errors import FileError
 from pgran.experiments.ensemble import figures as ensemble
 from pgran.experiments.ensemble import figures_statistics as statistics
-from pgran.medium.record import record_of
+from pgran.medium.base import record_of
 
 LATTICE = {"shape": (5, 4), "mass": 0.25}
 FIRST = pgran.Lattice.random(seed=1993, **LATTICE)

@@ -15,7 +15,7 @@ from pgran.draw.view import BARRED
 from pgran.errors import FileError
 from pgran.experiments.sensitivity import figures_heat as heat
 from pgran.experiments.sensitivity import maps
-from pgran.medium.record import record_of
+from pgran.medium.base import record_of
 
 
 def test_the_heaters_map():

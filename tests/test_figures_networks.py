@@ -20,9 +20,9 @@ from pgran.errors import FileError
 from pgran.experiments.modes import figures as modes
 from pgran.experiments.pulse import figures as pulse
 from pgran.experiments.response import figures as response
+from pgran.medium.base import record_of
 from pgran.medium.crystals import crystal
 from pgran.medium.network_file import write_network
-from pgran.medium.record import record_of
 from pgran.medium.source import with_source
 from pgran.medium.space import reaches
 

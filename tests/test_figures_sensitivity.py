@@ -30,7 +30,7 @@ from pgran.errors import FileError
 from pgran.experiments.sensitivity import figures as sensitivity
 from pgran.experiments.sensitivity import figures_heat as heat
 from pgran.experiments.sensitivity import maps
-from pgran.medium.record import record_of
+from pgran.medium.base import record_of
 from pgran.medium.space import as_network
 
 

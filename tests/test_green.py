@@ -10,7 +10,7 @@ from sensitivity_samples import packing
 import pgran
 from pgran.errors import InputError
 from pgran.experiments.green.scene import SCENE
-from pgran.medium.record import record_of
+from pgran.medium.base import record_of
 from pgran.run.crew import Crew
 from pgran.store.record import Result
 

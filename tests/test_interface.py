@@ -13,9 +13,9 @@ import pgran
 import pgran.results
 from pgran.command.resolve import resolve
 from pgran.experiments.response import scene as response
+from pgran.medium.base import record_of
 from pgran.medium.law import BondLaw
 from pgran.medium.network_file import read_network
-from pgran.medium.record import record_of
 from pgran.run.crew import Crew
 from pgran.run.options import read_words
 from pgran.store import file as store

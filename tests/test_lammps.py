@@ -14,9 +14,9 @@ import pgran
 from pgran.balance.networks import by_positions, floor
 from pgran.command.export import export
 from pgran.errors import FileError, InputError
+from pgran.medium.base import record_of
 from pgran.medium.lattice import Lattice
 from pgran.medium.network_file import parts_of, read_network, write_network
-from pgran.medium.record import record_of
 from pgran.store.record import Result
 
 CASES = {

@@ -8,9 +8,9 @@ from reference import balls, bonds
 from samples import bond_arrays, random_lattice, uniform_lattice
 
 from pgran.errors import InputError
+from pgran.medium.base import check_frequency
 from pgran.medium.bonds import bond_count, bond_ends, bond_shape
 from pgran.medium.lattice import Lattice
-from pgran.medium.units import check_frequency
 
 SHAPES = [(1,), (9,), (1, 4), (3, 1, 2), (4, 5, 6)]
 

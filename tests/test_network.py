@@ -17,9 +17,9 @@ from pgran.errors import InputError
 from pgran.experiments.modes.scene import find_modes
 from pgran.experiments.pulse.scene import pulse
 from pgran.medium import crystals as makers
+from pgran.medium.base import record_of
 from pgran.medium.graph import without_floating
 from pgran.medium.network import Network
-from pgran.medium.record import record_of
 from pgran.run.petsc import PETSc
 from pgran.store.record import Result
 

@@ -5,8 +5,8 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from pgran.medium import ordering
-from pgran.medium.graph import SYMMETRIC
+from pgran.medium import graph
+from pgran.medium.springs import SYMMETRIC
 
 
 def patterns():
@@ -35,10 +35,10 @@ def factors(pattern, order, method):
 def test_postordered_and_as_sparse_as_minimum_degree(has_amd, monkeypatch):
     """Where PETSc knows the order and where it does not."""
     if not has_amd:
-        monkeypatch.setattr(ordering, "MINIMUM_DEGREE", "none_such")
+        monkeypatch.setattr(graph, "MINIMUM_DEGREE", "none_such")
     filled, expected = 0, 0
     for pattern in patterns():
-        order = ordering.elimination_order(pattern)
+        order = graph.elimination_order(pattern)
         numbers = np.arange(pattern.shape[0])
         assert sorted(order) == numbers.tolist()
         own = factors(pattern, order, "NATURAL")

@@ -15,8 +15,7 @@ from pgran.experiments.relaxation import windows
 from pgran.experiments.relaxation.fluctuations import power_spectrum
 from pgran.experiments.relaxation.windows import BondExchange, Windows, march
 from pgran.medium.bonds import bond_arrays, bond_count
-from pgran.medium.law import BondLaw
-from pgran.medium.redraw import draw_changes
+from pgran.medium.law import BondLaw, draw_changes
 from pgran.run.options import read_words
 
 HOPELESS = "-steady_ksp_type richardson -steady_ksp_max_it 1 -steady_pc_type none"
@@ -63,7 +62,7 @@ def test_a_window_ends_where_its_bound_exceeds_what_is_allowed(tolerance):
     changes, reached = draw_changes(UNIFORM, bond_count((4, 4)), 1, 0, 0, 40), 0
     for seed in range(4):
         lattice = random_lattice((4, 4), seed=seed, damping=1e-6)
-        k = lattice.constants
+        k = lattice.constants.copy()
         k[changes.bond[:30]] = changes.stiffness[:30]
         omega = np.sqrt(Reference(bond_arrays((4, 4), k)).eigenvalues()[7])
         reached += len(follow(lattice, omega, [1, 2], changes, tolerance)[0])

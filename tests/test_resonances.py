@@ -84,7 +84,7 @@ def test_modes_at_rest_are_set_aside_by_name():
         assert "NOT" not in "".join(made[name].heading)
     assert len(made["participation"].panels[0].get_lines()[0].get_xdata()) == 94
     cut = np.flatnonzero(np.any(network.bond == 20, axis=1))[1:]
-    loose = crystals.part(network, contacts=np.setdiff1d(np.arange(network.bonds), cut))
+    loose = crystals.subnetwork(network, contacts=np.setdiff1d(np.arange(network.bonds), cut))
     result = result_of(pgran.find_modes(loose), loose)
     assert "3 modes at rest" in (said := " ".join(scene.summary(result)))
     assert "which nothing holds and balls that are loose" in said

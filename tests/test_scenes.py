@@ -12,8 +12,8 @@ from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.experiments.continuum.series import Continuum
 from pgran.experiments.ensemble.scene import ENSEMBLE, KEPT
 from pgran.experiments.sensitivity.scene import joins
+from pgran.medium.base import record_of
 from pgran.medium.lattice import Lattice
-from pgran.medium.record import record_of
 from pgran.medium.space import as_network
 from pgran.run.options import RUN, read_words
 from pgran.run.petsc import holding

@@ -36,7 +36,7 @@ def test_groups(world):
 def test_what_is_large(monkeypatch):
     """One rank a lattice, unless it has many balls; a network, unless its factors take long."""
     assert not LATTICE.is_large
-    monkeypatch.setitem(lattice.LARGE, 2, 71)
+    monkeypatch.setitem(lattice.SHARED_ABOVE, 2, 71)
     assert LATTICE.is_large
     chain = as_network(LATTICE)
     assert not chain.is_large

@@ -16,7 +16,7 @@ import pgran
 from pgran.command.resolve import SCENES, resolve
 from pgran.draw import scales
 from pgran.errors import InputError
-from pgran.medium.record import record_of
+from pgran.medium.base import record_of
 from pgran.run.options import read_words
 from pgran.store.record import Result
 from pgran.store.si import PREFIXES, SI, prefix_of

@@ -30,8 +30,8 @@ from pgran.experiments.pulse.scene import predicted_seconds, summary
 from pgran.experiments.pulse.signals import arrivals, codas, envelopes, front_speed
 from pgran.experiments.pulse.wall import Pulse
 from pgran.medium import crystals as makers
+from pgran.medium.base import record_of
 from pgran.medium.lattice import Lattice
-from pgran.medium.record import record_of
 from pgran.run.keys import holding_solver, solver_keys_of
 from pgran.store.record import Result
 

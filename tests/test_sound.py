@@ -12,10 +12,10 @@ from pgran.command.resolve import resolve
 from pgran.command.sound import table
 from pgran.errors import InputError, PgranError
 from pgran.medium import crystals, statics
-from pgran.medium.graph import part, rattlers, with_rattlers_at_rest
+from pgran.medium.base import record_of
+from pgran.medium.graph import rattlers, subnetwork, with_rattlers_at_rest
 from pgran.medium.network import Network
 from pgran.medium.network_file import parts_of, write_network
-from pgran.medium.record import record_of
 from pgran.medium.sample import make_lattice
 from pgran.run.options import read_words
 from pgran.store.si import SI
@@ -126,7 +126,7 @@ def test_packings_have_the_speeds_of_their_bloch_waves(seed, stable):
 def test_rattlers_are_left_out(tmp_path, world):
     """A ball with two contacts left; of a path all; in a run they rest, and keep their numbers."""
     cut = np.flatnonzero(np.any(TRIANGULAR.bond == 20, axis=1))[2:]
-    loose = part(TRIANGULAR, contacts=np.setdiff1d(np.arange(144), cut))
+    loose = subnetwork(TRIANGULAR, contacts=np.setdiff1d(np.arange(144), cut))
     rest, balls = pgran.without_rattlers(loose)
     assert np.array_equal(balls, np.delete(np.arange(48), 20))
     assert pgran.sound(loose) == pgran.sound(rest)._replace(rattlers=1)
@@ -162,7 +162,7 @@ def test_what_has_no_sound(monkeypatch):
     ):
         with pytest.raises(InputError, match=f"^sound: .*{message}"):
             pgran.sound(dataclasses.replace(TRIANGULAR, **changes))
-    monkeypatch.setattr(statics, "UNBALANCED", -1.0)
+    monkeypatch.setattr(statics, "LARGEST_IMBALANCE", -1.0)
     with pytest.raises(PgranError, match="forces balance to"):
         pgran.sound(random_lattice((5, 4)))
 

@@ -9,9 +9,9 @@ from samples import listened, random_lattice, relaxed, swept, uniform_lattice
 
 import pgran
 from pgran.errors import InputError
+from pgran.medium.base import record_of
 from pgran.medium.lattice import Lattice
 from pgran.medium.network import Network
-from pgran.medium.record import record_of
 from pgran.medium.source import with_source
 from pgran.medium.springs import stiffness_matrix
 
@@ -89,7 +89,7 @@ def test_bonds_at_free_sides_do_not_exist(alone):
     where = [tuple(index) for index in steps.bond_index[0][steps.bond_axis[0] == 0].tolist()]
     assert min(index[0] for index in where) == 1
     slopes = pgran.sensitivity(pushed, [0.3], (3, 2)).by_stiffness[0, 0]
-    assert np.array_equal(slopes != 0, pushed.shares == 1)
+    assert np.array_equal(slopes != 0, pushed.exists == 1)
     for medium in (pushed, with_source(lattice, part="y<2"), with_source(DISCS, balls=[1])):
         assert record_of(medium).built == medium
 

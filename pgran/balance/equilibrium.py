@@ -14,7 +14,8 @@ import numpy as np
 
 from pgran.balance.motion import Balls, Contacts, Motion, listed
 from pgran.errors import PgranError
-from pgran.medium.graph import SYMMETRIC, loose_balls
+from pgran.medium.graph import loose_balls
+from pgran.medium.springs import SYMMETRIC
 
 BALANCED = 1e-12  # of the mean force: the largest force that is left on a ball
 UNDECIDED_FORCE = 1e-11  # of the mean force: what bears less may be open, or bear rounding

@@ -11,10 +11,10 @@ from pgran.arguments import called_right
 from pgran.balance.equilibrium import BALANCED, at_rest, without_rattlers
 from pgran.balance.motion import Balls, ContactLaw, Contacts, listed, pair_numbers
 from pgran.errors import InputError
+from pgran.medium.base import EPSILON
 from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network
 from pgran.medium.packing import nearest_images
-from pgran.medium.rounding import EPSILON
 from pgran.medium.springs import AT_REST, FREE
 from pgran.run.numbers import numbers
 

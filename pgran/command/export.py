@@ -12,7 +12,7 @@ import pgran
 from pgran.arguments import called_right, shown
 from pgran.command.words import Parser
 from pgran.errors import DONE, FileError, InputError, PgranError
-from pgran.medium.record import as_result
+from pgran.medium.base import as_result
 from pgran.store.file import is_result
 from pgran.store.paths import check_seal, whole
 from pgran.store.text import tables

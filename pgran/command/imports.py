@@ -13,10 +13,11 @@ from pgran.errors import DONE, InputError
 from pgran.foreign.assemble import assemble
 from pgran.foreign.contacts import AXES, ROLES, Balls, read_contacts
 from pgran.foreign.tables import read_graph, read_table
+from pgran.medium.base import BETA
 from pgran.medium.checks import KINDS
+from pgran.medium.dissipation import warn_of_damping
 from pgran.medium.network_file import check_output, write_network
 from pgran.medium.springs import DRIVEN, FREE
-from pgran.medium.units import BETA, warn_of_damping
 from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")

@@ -11,8 +11,8 @@ from pgran.balance.pack import packed_network
 from pgran.command.imports import balls_of, next_step
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE, InputError
+from pgran.medium.dissipation import warn_of_damping
 from pgran.medium.network_file import check_output, parts_of, write_network
-from pgran.medium.units import warn_of_damping
 from pgran.run.options import REALS, Option
 from pgran.store.estimate import counted
 

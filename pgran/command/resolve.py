@@ -183,8 +183,8 @@ def run_scene(scene, options, world, crew):
     if not scene.on_medium:
         with crew(1, None) as workers:
             return scene.run(None, options, workers)
+    from pgran.medium.dissipation import warn_of_damping
     from pgran.medium.sample import make_lattice, ranks_per_lattice
-    from pgran.medium.units import warn_of_damping
 
     medium = make_lattice(options, world)
     if world.rank == 0 and options.network_file and options.network_damping is None:
@@ -194,7 +194,7 @@ def run_scene(scene, options, world, crew):
         records = scene.run(medium, options, workers)
     if records is None:
         return None
-    from pgran.medium.record import record_of
+    from pgran.medium.base import record_of
 
     return [record_of(medium), *records]
 
@@ -208,10 +208,8 @@ def opening(options, ranks, medium=None):
     if medium is None:
         facts = [*SCENES[options.scene].subject(options)]
     else:
-        from pgran.medium.source import in_words
-
         facts = [*(_lattice if options.network_file is None else _network)(options, medium)]
-        facts += in_words(medium)
+        facts += medium.drive_in_words()
         if of != "modes":  # samples keep no widths of theirs
             facts.append(medium.law_in_words)
         unit = SI.of(options).say("Hz", medium.omega_mx)
@@ -234,10 +232,10 @@ def _network(options, network):
 
 def _lattice(options, lattice):
     """Yield the facts of a lattice, or of many."""
-    from pgran.medium.law import DEFAULTS, IN_WORDS
+    from pgran.medium.law import IN_WORDS, PARAMETERS
 
     size, first = " x ".join(map(str, lattice.shape)), options.bonds_seed
-    values = {name: getattr(options, f"bonds_{name}") for name in (*DEFAULTS, "file")}
+    values = {name: getattr(options, f"bonds_{name}") for name in (*PARAMETERS, "file")}
     values |= {name: f"{value:g}" for name, value in values.items() if isinstance(value, float)}
     bonds = "bonds " + IN_WORDS[options.bonds_law].format(**values).replace("$", "")
     if options.scene == "ensemble":

@@ -33,7 +33,7 @@ def run(words):
         commands = _commands(scale, options, damping)
     except (OverflowError, ZeroDivisionError):
         raise InputError("units: these numbers are too far apart to compute with") from None
-    if scale.contact_radius > hertz.LARGE:
+    if scale.contact_radius > hertz.LARGEST_CONTACT:
         text = "a contact has %.2g of a ball's radius: Hertz's law is for small contacts"
         log.warning(text, scale.contact_radius)
     print(f"{'':<37}{'SI':<22}program's units")

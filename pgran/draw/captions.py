@@ -11,7 +11,6 @@ import numpy as np
 from pgran import catalogue
 from pgran.draw import marks, scales, style
 from pgran.medium.labels import facts_of
-from pgran.medium.source import in_words
 from pgran.store.estimate import counted
 
 SAMPLES = "bonds", "network"  # figures that show what was computed on
@@ -63,12 +62,12 @@ def sample(result, si):
         facts[0] += f", displacements: {medium.displacement}"
     else:
         count = r" \times ".join(map(str, medium.shape))
-        driven = ", one of which is driven" * bool(np.any(medium.built.moved))
+        driven = ", one of which is driven" * bool(np.any(medium.built.wall_motion))
         facts = [f"{AXES[len(medium.shape)]} of ${count}$ balls of mass {number(medium.mass)} "
                  f"between walls{driven}"]  # fmt: skip
         if "bonds_law" in options:
             facts.append(formulas(f"bonds {options['bonds_law']}"))
-    facts += in_words(medium.built)
+    facts += medium.built.drive_in_words()
     ensemble = getattr(result, "ensemble", None)
     if ensemble is not None:
         seeds = ensemble.seed

@@ -39,8 +39,8 @@ from pgran.driven.inertia import complex_matrix
 from pgran.driven.linear import FACTORIZATIONS
 from pgran.driven.owner import Owner
 from pgran.driven.singular import least_estimate, proven_least
+from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 from pgran.medium.law import unit_numbers
-from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 
 log = logging.getLogger("pgran")
 

@@ -21,7 +21,7 @@ from mpi4py import MPI
 
 from pgran.driven.linear import make_ksp, set_up
 from pgran.driven.owner import Owner
-from pgran.medium.rounding import SMALLEST_NORMAL
+from pgran.medium.base import SMALLEST_NORMAL
 from pgran.run.petsc import PETSc
 
 LEAST_PROVEN = 1e-290  # what is proven of no amplitude is less

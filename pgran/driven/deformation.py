@@ -5,7 +5,7 @@ NumPy only; the formulas are those of `pgran.experiments.relaxation.windows`.
 
 import numpy as np
 
-from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 
 
 def march(G, delta):

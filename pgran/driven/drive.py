@@ -5,7 +5,7 @@ import logging
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.medium.units import warn_above_modes
+from pgran.medium.base import warn_above_modes
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Asked, Caution
 from pgran.run.options import INTEGER, INTEGERS, REAL, REALS, TEXT, Option

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON
 
 PASSES = 4  # of a power iteration, each of which sharpens a bound
 ROUNDED = 1.01  # covers the rounding of the bound itself
@@ -43,7 +43,7 @@ class RealFactors:
         from scipy.sparse import identity
         from scipy.sparse.linalg import splu
 
-        from pgran.medium.graph import SYMMETRIC
+        from pgran.medium.springs import SYMMETRIC
 
         self.size = K.shape[0]
         shifted = (K - shift * identity(self.size, format="csc")).tocsc() if shift else K

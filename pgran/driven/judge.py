@@ -11,7 +11,7 @@ from pgran.driven.bounds import ErrorBounds
 from pgran.driven.comparison import Comparison
 from pgran.driven.linear import LEAST_NORM
 from pgran.driven.owner import Owner
-from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 from pgran.run.petsc import PETSc
 
 # Where no bound is known the residual must be of the size of rounding, and so must be what this

@@ -15,7 +15,6 @@ from mpi4py import MPI
 
 from pgran.driven.layout import LatticeLayout, NetworkLayout
 from pgran.driven.owner import Owner
-from pgran.medium.redraw import with_constants
 from pgran.run.petsc import PETSc
 
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
@@ -176,7 +175,7 @@ class Operators(Owner):
         losses depend on the constants, they change with them.
         """
         if self.lattice.has_law:
-            self.lattice, bonds = with_constants(self.lattice, constants), None
+            self.lattice, bonds = self.lattice.with_constants(constants), None
             constants = self.lattice.moduli
             if self.C is not None:
                 self.C.setValuesCSR(*self.layout.csr(self.lattice.dashpots))

@@ -20,7 +20,7 @@ from mpi4py import MPI
 from pgran.driven.accurate import is_accurate
 from pgran.driven.columns import Columns, Solved
 from pgran.driven.steady import SteadySolver
-from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 from pgran.run.petsc import PETSc
 
 

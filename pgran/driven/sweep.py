@@ -4,7 +4,7 @@ import contextlib
 
 import numpy as np
 
-from pgran.medium.units import check_frequency
+from pgran.medium.base import check_frequency
 from pgran.run.machine import check_memory
 from pgran.run.task import Task
 

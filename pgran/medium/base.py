@@ -1,25 +1,51 @@
-"""What lattices and other networks have in common, whatever asks them."""
+"""The interface of a vibrating medium, which solvers, records and figures ask.
 
+And beneath it what all rooms share: the rounding of doubles, the unit of frequency, and checks that
+numbers fit into doubles.
+"""
+
+import contextlib
 import dataclasses
+import logging
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from pgran.arguments import shown
+from pgran.catalogue import record_kind
 from pgran.errors import InputError
-from pgran.medium.dissipation import Dissipation
-from pgran.medium.units import einstein_frequency
-from pgran.run.numbers import Distinct
+from pgran.run.numbers import Distinct, numbers
+from pgran.store.estimate import counted
+from pgran.store.record import Result
 
-# what the unit of stiffness, mass and damping changes
-SCALED = (
-    "stiffness", "mass", "masses", "damping", "force", "tangential", "push", "kmax", "median_mass",
-    "damping_reference",
-)  # fmt: skip
+log = logging.getLogger("pgran")
+
+AXES = "xyz"
+EPSILON = float(np.finfo(float).eps)
+SMALLEST_NORMAL = float(np.finfo(float).tiny)  # a result below it may be lost
+BETA = 0.003  # the paper's beta, of a lattice whose m and omega_mx are 1
+# The powers of the units of force and of time that each number is in; a length has none.
+DIMENSIONS = dict.fromkeys(
+    ("stiffness", "tangential", "force", "push", "kmax", "damping_reference"), (1, 0)
+)
+DIMENSIONS |= dict.fromkeys(("mass", "masses", "median_mass"), (1, 2))
+DIMENSIONS |= {"damping": (1, 1), "drag": (0, -1)}
+ALONG = "the direction in the file (drive), x, y, z, or components as 1,0,1"
 
 
-class Medium(Dissipation, Distinct):
+class Elimination(NamedTuple):
+    """How the matrices of a medium are factored best."""
+
+    numbered: bool  # one rank numbers the unknowns in the order of elimination
+    ordering: str  # PETSc's name of the order for S
+    small: bool  # PETSc factors faster than MUMPS, whose solves are dearer, too
+    quick: bool  # the order that MUMPS finds quickest is as good as any
+    costly: bool  # a factorization takes longer than a search for some modes
+    seconds: float  # that a factorization of S takes, as measured
+
+
+class Medium(Distinct):
     """What vibrates: a `pgran.Lattice` or a `pgran.Network`, which answer the same questions."""
 
     is_grid = False  # of nearest neighbours, which can be cut into boxes
@@ -53,13 +79,26 @@ class Medium(Dissipation, Distinct):
         """What amplitudes are compared with: 1 of a wall's motion, F / kmax of a force F."""
         return 1.0 if self.push is None else float(self.push_sizes.sum() / abs(self.kmax))
 
-    def pull(self, s):
-        """Return the force that moves what is driven by 1 while all balls stay.
+    def drive_in_words(self):
+        """Yield in words what drives, if it is no whole wall, and which walls are missing."""
+        if self.push is not None:
+            yield f"driven by a force on {counted(np.count_nonzero(self.push_sizes), 'ball')}"
+        elif self.is_grid and self.wall is not None:
+            yield f"driven at {np.count_nonzero(self.wall)} of {self.wall.size} places of a wall"
+        if self.is_grid and self.free:
+            yield f"no wall at {', '.join(self.free)}"
 
-        It is the sum of kappa(s) w^2 over the springs, which that stretches by w.
+    def along(self, direction, name):
+        """Return a direction of length 1, of the drive for `drive`; (1,) of scalar displacements.
+
+        Raises InputError, which calls it by its `name`, if there is no such direction.
         """
-        stiffness, damping = self.pulls
-        return stiffness + s * damping
+        own = getattr(self, "direction", np.ones(1))
+        if is_drive(direction):
+            return own
+        if len(own) == 1:
+            raise InputError(f"-{name}: balls of this medium have one displacement")
+        return unit_vector(f"-{name}", direction, len(own), "drive, ")
 
     def per_ball(self, squares):
         """Return sums over the components of each free ball, shape (n, balls)."""
@@ -79,13 +118,7 @@ class Medium(Dissipation, Distinct):
             if value / unit * unit != value:
                 far = f"{value:g} and bond constants of about {unit:g} are too far apart"
                 raise InputError(f"-lattice_{name}: {far}")
-        names = [item.name for item in dataclasses.fields(self) if item.name in SCALED]
-        values = {name: getattr(self, name) for name in names}
-        for name, value in values.items():
-            if value is not None:  # a lattice has an array of constants for each axis
-                each = isinstance(value, tuple)
-                values[name] = tuple(k / unit for k in value) if each else value / unit
-        return dataclasses.replace(self, **values), unit
+        return self._in_units(unit, 1.0), unit
 
     def in_own_time(self):
         """Return the same medium with its largest constant near its mass, and the unit of s.
@@ -93,22 +126,31 @@ class Medium(Dissipation, Distinct):
         For what solves for s itself: powers of s have one size then, whatever time is measured in.
         """
         unit = 2.0 ** (math.frexp(einstein_frequency(self.axes, self.stiffest, self.mass))[1] - 1)
-        powers = {"mass": 2, "masses": 2, "median_mass": 2, "damping": 1, "drag": -1}
-        names = [item.name for item in dataclasses.fields(self) if item.name in powers]
-        there = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        values = {name: value * unit ** powers[name] for name, value in there.items()}
-        return dataclasses.replace(self, **values), unit
+        return self._in_units(1.0, unit), unit
+
+    def _in_units(self, force, frequency):
+        """Return the same medium in units of force and frequency, powers of two."""
+        values = {}
+        for name in DIMENSIONS.keys() & {item.name for item in dataclasses.fields(self)}:
+            value, (by_force, by_time) = getattr(self, name), DIMENSIONS[name]
+            if isinstance(value, tuple):  # the constants of a lattice, an array for each axis
+                values[name] = tuple(k / force for k in value)
+            elif value is not None:
+                values[name] = value / force**by_force * frequency**by_time
+        return dataclasses.replace(self, **values)
 
 
-class Elimination(NamedTuple):
-    """How the matrices of a medium are factored best."""
+def record_of(medium):
+    """Return the record of a lattice or of another network."""
+    return record_kind("lattice" if medium.is_grid else "network").of(medium)
 
-    numbered: bool  # one rank numbers the unknowns in the order of elimination
-    ordering: str  # PETSc's name of the order for S
-    small: bool  # PETSc factors faster than MUMPS, whose solves are dearer, too
-    quick: bool  # the order that MUMPS finds quickest is as good as any
-    costly: bool  # a factorization takes longer than a search for some modes
-    seconds: float  # that a factorization of S takes, as measured
+
+def as_result(medium):
+    """Return a lattice or a network by itself as a result, others as they are."""
+    if not isinstance(medium, Medium):
+        return medium
+    record = record_of(medium)
+    return Result([record], scene=record.group)
 
 
 def medium(value):
@@ -119,3 +161,85 @@ def medium(value):
             f"lattice: a pgran.Lattice or a pgran.Network is needed, not {shown(value)}"
         )
     return value
+
+
+def closest(places, others):
+    """Return the distance of each place (n, d) from the closest of others (m, d)."""
+    away = np.asarray(places)[:, None] - others
+    return np.sqrt(np.sum(away**2, axis=2)).min(axis=1)
+
+
+def unit_vector(name, direction, axes, others=""):
+    """Return a direction of length 1 in so many dimensions, along x for None.
+
+    It is an axis, components, or a text of these. Raises InputError, which calls it by its `name`
+    and adds what `others` are possible.
+    """
+    if direction is None:
+        return np.eye(axes)[0]
+    if isinstance(direction, str):
+        components = [float(direction == axis) for axis in AXES[:axes]]
+        with contextlib.suppress(ValueError):
+            components = [float(word) for word in direction.split(",")]
+    else:
+        components = numbers(name, direction)
+    size = np.linalg.norm(components)
+    if np.shape(components) != (axes,) or not 0 < size < np.inf:
+        possible = f"{others}{', '.join(AXES[:axes])}, or {axes} components"
+        raise InputError(f"{name}: choose {possible}, not {shown(direction)}")
+    return np.asarray(components) / size
+
+
+def is_drive(direction):
+    """Return whether a direction is that of the drive."""
+    return isinstance(direction, str) and direction == "drive"
+
+
+def einstein_frequency(axes, stiffness, mass):
+    """Return sqrt(2 d k / m) of a ball on 2 d springs whose other ends rest (paper: omxdef).
+
+    With k = kmax it is the unit of frequency; d is the number of axes.
+    """
+    return math.sqrt(2 * axes * stiffness / mass)
+
+
+def check_size(name, value, positive=False):
+    """Raise InputError unless a number is finite, and positive or not negative."""
+    if not math.isfinite(value) or value < 0 or (positive and value == 0):
+        least = "positive" if positive else "0 or more"
+        raise InputError(f"{name}: must be {least} and finite, not {value}")
+
+
+def check_magnitudes(medium):
+    """Raise InputError where mass, damping and stiffness make no vibrations."""
+    check_size("-bonds_kmax", medium.kmax)
+    check_size("-lattice_mass", medium.mass, positive=True)
+    check_size("-lattice_damping", medium.damping)
+    if not math.isfinite(4 * medium.axes * max(medium.kmax, medium.stiffest) / medium.mass):
+        raise InputError(
+            "-lattice_mass, -bonds_kmax: frequencies are too large to compute with; use other units"
+        )
+
+
+def check_frequency(medium, omega):
+    """Raise InputError unless the driven medium's numbers and their squares fit into doubles.
+
+    No entry of S exceeds 4 d (k + omega beta) + m omega^2 up to the frequency.
+    """
+    omega = float(omega)
+    springs = 4 * medium.axes * (medium.stiffest + omega * medium.damping)
+    largest = springs + medium.mass * omega * omega
+    if not math.isfinite(largest * largest):
+        raise InputError(
+            f"the frequency {omega:g} is too large to compute with; use a lower one, or other units"
+        )
+
+
+def warn_above_modes(medium, world, lowest):
+    """Warn on rank 0 where no mode is above the lowest frequency, which is then often in Hz."""
+    if world.rank == 0 and lowest > math.sqrt(medium.stiffness_norm / medium.mass):
+        log.warning(
+            "omega = %.6g, the lowest asked for, is above all modes (omega_mx is %.6g); "
+            "frequencies are angular, omega = 2 pi f, but for sweeps with -sweep_unit Hz",
+            lowest, medium.omega_mx,
+        )  # fmt: skip

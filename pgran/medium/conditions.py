@@ -42,12 +42,22 @@ def choose(name, condition, ids, column):
     `column` returns the numbers, shape (N,), of a column by its name. `and` binds closer than `or`;
     `min` and `max` are those of the column. Raises InputError, which calls it by its `name`.
     """
+    chosen = np.zeros(len(ids), dtype=bool)
     try:
         if LIST.fullmatch(condition):
-            return _listed(condition, ids)
-        chosen = np.zeros(len(ids), dtype=bool)
-        for alternative in _alternatives(condition):
-            chosen |= np.logical_and.reduce([_holds(column, *each) for each in alternative])
+            for item in condition.split(","):
+                first, _, last = item.partition("-")
+                named = (ids >= int(first)) & (ids <= int(last or first))
+                if not np.any(named):
+                    raise InputError(f"{item.strip()}: no ball has such an id")
+                chosen |= named
+        for comparisons in _alternatives(condition):
+            holds = np.ones(len(ids), dtype=bool)
+            for name_of_column, sign, end, number in comparisons:
+                values = column(name_of_column)
+                bound = getattr(values, end)() if end else 0.0
+                holds &= COMPARE[sign](values, bound + number)
+            chosen |= holds
         if not np.any(chosen):
             raise InputError(f"{condition!r} chooses no ball")
     except InputError as error:
@@ -57,25 +67,13 @@ def choose(name, condition, ids, column):
 
 def columns_in(condition):
     """Return the names of the columns that a condition compares; refuse what is none."""
-    if LIST.fullmatch(condition):
-        return []
-    return [name for alternative in _alternatives(condition) for name, *_ in alternative]
-
-
-def _listed(condition, ids):
-    """Return which balls a list of ids names; each of its items must name one."""
-    chosen = np.zeros(len(ids), dtype=bool)
-    for item in condition.split(","):
-        first, _, last = item.partition("-")
-        named = (ids >= int(first)) & (ids <= int(last or first))
-        if not np.any(named):
-            raise InputError(f"{item.strip()}: no ball has such an id")
-        chosen |= named
-    return chosen
+    return [name for comparisons in _alternatives(condition) for name, *_ in comparisons]
 
 
 def _alternatives(condition):
-    """Return lists of comparisons that must hold together: columns, signs, min or max, numbers."""
+    """Return lists of comparisons that must hold together, none for a list of ids."""
+    if LIST.fullmatch(condition):
+        return []
     parted = [re.split(r"\band\b", text) for text in re.split(r"\bor\b", condition)]
     return [[_comparison(text) for text in texts] for texts in parted]
 
@@ -90,10 +88,3 @@ def _comparison(text):
             f"{text.strip()!r} is no condition; x<1.5, x>max-1.5 and type==2, 12,15,30-40 are"
         )
     return name, sign, end, float(number.replace(" ", "") if number else 0)
-
-
-def _holds(column, name, sign, end, number):
-    """Return where one comparison holds."""
-    values = column(name)
-    bound = getattr(values, end)() if end else 0.0
-    return COMPARE[sign](values, bound + number)

@@ -97,9 +97,8 @@ def random_geometric(
 
     Each unit of volume of the box has one of the `count` points. Balls are in contact at distances
     below `radius`, or have so many `contacts` on the mean far from the walls. What floats is left
-    out. Held at the first axis' ends are the balls within the radius of them. `stiffness`,
-    `periodic`, `held`, `seed` and others are as those of `crystal`, of each contact in the order of
-    the balls' numbers.
+    out. Held at the first axis' ends are the balls within the radius of them. The others are as
+    those of `crystal`, of each contact in the order of the balls' numbers.
     """
     from scipy.spatial import cKDTree
 

@@ -9,69 +9,52 @@ bonds are redrawn. A spring of no stiffness has no dashpot unless p = 0.
 """
 
 import dataclasses
+import logging
 from functools import cached_property
 
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.medium.units import check_size
-from pgran.run.options import REAL, TEXT, Option
+from pgran.medium.base import BETA, Medium, check_size
+from pgran.run.numbers import number
 
-OF_DAMPING = (
-    Option(
-        "damping_power", REAL, None,
-        "p of dashpots beta (k / k_ref)^p, k_ref the mean k: 0, all alike; 1, in proportion to "
-        "stiffness; 0.5, as usual in simulations of contacts; by default the file's, or 0",
-    ),
-    Option(
-        "damping_mass", REAL, None, "alpha of a drag -alpha m v; by default the file's, or 0",
-        "angular", low=0
-    ),
-    Option(
-        "damping_loss", REAL, None,
-        "eta of springs k (1 + i eta), which lose the same part of the energy in a cycle at all "
-        "frequencies; by default the file's, or 0", low=0, high=1e6
-    ),
-    Option(
-        "damping_part", TEXT, None,
-        "of networks with vectors: dashpots act on all of the relative velocity at a contact, or "
-        "on its normal part; by default as the file says", choices=("all", "normal")
-    ),
-)  # fmt: skip
+log = logging.getLogger("pgran")
 
-# of what damps, by option
+# Of what damps, by option.
 LETTERS = {
     "lattice_damping": "beta", "damping_power": "p", "damping_mass": "alpha", "damping_loss": "eta",
 }  # fmt: skip
 FIELDS = ("damping", "damping_power", "damping_reference", "drag", "loss")
 
 
-class Dissipation:
-    """What follows from the `FIELDS` that lattices and networks have.
+class Damped(Medium):
+    """What follows from the `FIELDS` of a medium: beta, p, k_ref, alpha and eta.
 
-    These are beta, p, k_ref, alpha and eta. `drags` and `losses` are alpha of each unknown and
-    eta k of each spring, None where there is none.
+    `drags` and `losses` are alpha of each unknown and eta k of each spring, None where there is
+    none; `damped_springs` holds d of each spring.
     """
 
-    def _check_dissipation(self, stiffness, tangential=None):
+    def _check_dissipation(self, stiffness, tangential=()):
         """Set k_ref where it is not given; raise InputError where the law makes no dashpots."""
         for name in ("drag", "loss"):
-            if np.ndim(getattr(self, name)) == 0 and getattr(self, name) is not None:
-                check_size(f"damping: {name}", getattr(self, name))
-        power, reference = float(self.damping_power or 0.0), self.damping_reference
+            value = getattr(self, name)
+            if np.ndim(value) == 0 and value is not None:
+                check_size(f"damping: {name}", value)
+        power, reference = self.damping_power, self.damping_reference
+        power = 0.0 if power is None else number("-damping_power", power)
+        if reference is not None:
+            reference = number("damping_reference", reference)
         if not np.isfinite(power):
             raise InputError(f"-damping_power: must be finite, not {power}")
         if not power:
             reference = None
         elif reference is None:
             reference = float(np.abs(stiffness).mean())
-        object.__setattr__(self, "damping_power", power)
-        object.__setattr__(self, "damping_reference", reference)
+        vars(self).update(damping_power=power, damping_reference=reference)
         if power:
             check_size("damping_reference", reference, positive=True)
-            every = stiffness if tangential is None else np.append(stiffness, tangential)
             with np.errstate(all="ignore"):
-                most = self.law(every).max()
+                most = self.law(np.append(stiffness, tangential)).max()
             if not np.isfinite(most * self.damping):
                 raise InputError(
                     f"-damping_power {power:g}: (k / k_ref)^p is too large; take p nearer to 0"
@@ -162,10 +145,7 @@ class Dissipation:
 
     @property
     def damping_facts(self):
-        """What damps, by name: beta, and p, alpha and eta where they are not 0, each low and high.
-
-        A single number is both.
-        """
+        """The least and largest of what damps, by name: beta, and p, alpha and eta if not 0."""
         values = self.damping, self.damping_power, self.drag, self.loss
         named = dict(zip(LETTERS.values(), values, strict=True))
         there = {name: value for name, value in named.items() if name == "beta" or np.any(value)}
@@ -196,3 +176,18 @@ def of_new(medium, balls=False):
             what = "balls" if name == "drag" else "contacts"
             raise InputError(f"network: {name} differs, and is not known of {what} made anew")
     return {name: None if v is None else float(v[0]) for name, v in found.items()}
+
+
+def warn_of_damping(network, option):
+    """Warn where most modes are overdamped, or where the default damping is of another unit."""
+    unit, contacts = network.mass * network.omega_mx, slice(network.bonds)
+    with np.errstate(all="ignore"):
+        rates = network.constants[contacts] / (network.damping * network.dashpots[contacts])
+    # k / (beta omega_mx) of contacts; the median mode has half of it as its quality
+    over = ": most modes are overdamped" * bool(np.median(np.abs(rates)) < network.omega_mx)
+    if over or (network.damping == BETA and not 0.1 < unit < 10):
+        log.warning(
+            "the damping %g, in mass times frequency, is %.2g m omega_mx here%s; %s %.3g would be "
+            "%g m omega_mx, the default where m and omega_mx are 1",
+            network.damping, network.damping / unit, over, option, BETA * unit, BETA,
+        )  # fmt: skip

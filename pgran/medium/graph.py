@@ -11,11 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.medium.base import Elimination
-from pgran.medium.checks import OF_CONTACTS
-from pgran.medium.ordering import elimination_order
-from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
-from pgran.medium.springs import AT_REST, DRIVEN, FREE
+from pgran.medium.base import EPSILON, SMALLEST_NORMAL, Elimination, Medium
+from pgran.medium.springs import AT_REST, DRIVEN, FREE, SYMMETRIC
 
 # Multiplications of a factorization: beyond these all ranks share the network; up to so many for
 # each unknown PETSc is faster than MUMPS; up to so many for each ball a better order of MUMPS costs
@@ -23,7 +20,8 @@ from pgran.medium.springs import AT_REST, DRIVEN, FREE
 LARGE_WORK, PETSC_WORK, QUICK_WORK = 3e9, 2500, 5e4
 STEPS = 30  # of inverse iteration at most
 ENOUGH = 0.9  # of the smallest eigenvalue: a bound that is as close as that is not improved
-SYMMETRIC = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+# PETSc has this order from SuiteSparse, which not every PETSc is built with.
+MINIMUM_DEGREE = "amd"
 
 
 class Graph:
@@ -99,8 +97,45 @@ def _lowest(laplacian, factors, rounding):
     return best
 
 
+def elimination_order(pattern):
+    """Return which unknown of a symmetric matrix is eliminated first, second, and so on.
+
+    By approximate minimum degree, postordered: each child of the elimination tree comes before its
+    parent, and a subtree is a range, so that SuperLU finds its supernodes without numbering anew.
+    Of the sparse `pattern` its nonzeros count, not their values; the diagonal belongs to them.
+    """
+    from pgran.run.petsc import PETSc
+
+    counts = pattern.indptr.astype(PETSc.IntType), pattern.indices.astype(PETSc.IntType)
+    values = np.ones(len(pattern.indices), dtype=PETSc.ScalarType)
+    matrix = PETSc.Mat().createAIJ(pattern.shape, csr=(*counts, values), comm=PETSc.COMM_SELF)
+    try:
+        rows, columns = matrix.getOrdering(MINIMUM_DEGREE)
+    except PETSc.Error:
+        return _by_superlu(pattern)
+    finally:
+        matrix.destroy()
+    order = rows.getIndices().astype(np.intp)
+    rows.destroy()
+    columns.destroy()
+    return order
+
+
+def _by_superlu(pattern):
+    """Return SuperLU's order of minimum degree, from a factorization that drops nearly all."""
+    from scipy.sparse import csc_matrix
+    from scipy.sparse.linalg import spilu
+
+    # -1 beside a large diagonal: no pivot can be zero.
+    values = np.full(len(pattern.indices), -1.0)
+    graph = csc_matrix((values, pattern.indices, pattern.indptr), pattern.shape)
+    graph.setdiag(float(np.diff(pattern.indptr).max(initial=0)) + 1.0)
+    dropping = {"drop_tol": 1.0, "fill_factor": 1.0, "permc_spec": "MMD_AT_PLUS_A"}
+    return np.argsort(spilu(graph, **dropping, **SYMMETRIC).perm_c)
+
+
 class Connected:
-    """The contacts of a network as a graph; `lattice.Lattice` answers the same by closed forms."""
+    """The contacts of a network as a graph; a lattice answers the same by closed forms."""
 
     @cached_property
     def graph(self):
@@ -163,36 +198,30 @@ def without_floating(network):
     return part(network, kept), kept
 
 
-def rattlers(network):
-    """Return which free balls too few contacts hold, shape (balls,): what they touch, but for them.
-
-    In balance a ball that repels its neighbours needs d + 1 contacts in d dimensions, with
-    tangential springs d; one of a scalar displacement is held by a single spring.
-    """
-    least = network.axes + (network.tangential is None)
-    if network.displacement == "scalar":
-        least = 1
-    return loose_balls(network.bond, network.held != FREE, least)
-
-
-def loose_balls(pairs, held, least):
-    """Return which free balls have fewer than `least` contacts, rattlers left out: rattlers."""
-    kept = np.ones(len(held), dtype=bool)
-    while True:
-        carrying = pairs[kept[pairs].all(axis=1)]
-        rattling = kept & ~held & (np.bincount(carrying.ravel(), minlength=len(held)) < least)
-        if not rattling.any():
-            return ~kept
-        kept &= ~rattling
-
-
-def without_rattlers(network):
+def without_rattlers(network: Medium) -> tuple[Medium, np.ndarray]:
     """Return a network without its `rattlers`, and the numbers of the balls kept, ascending.
 
     The unit of frequency stays. Raises InputError if nothing free is left.
+
+    Examples
+    --------
+    >>> import pgran
+    >>> from pgran.medium.crystals import diluted, triangular
+    >>> network = diluted(triangular((5, 4)), 0.3)
+    >>> kept, numbers = pgran.without_rattlers(network)
+    >>> len(network.held), len(kept.held)
+    (40, 33)
     """
     kept = np.flatnonzero(~_rattling(network))
     return part(network, kept), kept
+
+
+def with_rattlers_at_rest(network):
+    """Return a network whose `rattlers` are held at rest and touch nothing, of the same balls."""
+    loose = _rattling(network)
+    held = np.where(loose, AT_REST, network.held)
+    whole = np.flatnonzero(~np.any(loose[network.bond], axis=1))
+    return part(dataclasses.replace(network, held=held), contacts=whole)
 
 
 def _rattling(network):
@@ -206,12 +235,25 @@ def _rattling(network):
     return loose
 
 
-def with_rattlers_at_rest(network):
-    """Return a network whose `rattlers` are held at rest and touch nothing, of the same balls."""
-    loose = _rattling(network)
-    held = np.where(loose, AT_REST, network.held)
-    whole = np.flatnonzero(~np.any(loose[network.bond], axis=1))
-    return part(dataclasses.replace(network, held=held), contacts=whole)
+def rattlers(network):
+    """Return which free balls too few contacts hold, shape (balls,): what they touch, but for them.
+
+    In balance a ball that repels its neighbours needs d + 1 contacts in d dimensions, with
+    tangential springs d; one of a scalar displacement is held by a single spring.
+    """
+    least = 1 if network.displacement == "scalar" else network.axes + (network.tangential is None)
+    return loose_balls(network.bond, network.held != FREE, least)
+
+
+def loose_balls(pairs, held, least):
+    """Return which free balls have fewer than `least` contacts, rattlers left out: rattlers."""
+    kept = np.ones(len(held), dtype=bool)
+    while True:
+        carrying = pairs[kept[pairs].all(axis=1)]
+        rattling = kept & ~held & (np.bincount(carrying.ravel(), minlength=len(held)) < least)
+        if not rattling.any():
+            return ~kept
+        kept &= ~rattling
 
 
 def anchored(bond, held):
@@ -241,11 +283,7 @@ def part(network, balls=None, contacts=None):
     number[balls] = np.arange(len(balls))
     bond = number[network.bond[contacts]]
     whole = np.all(bond >= 0, axis=1)
-    values_left = {"bond": bond[whole]}
-    for names, which in (
-        (("held", "masses", "position", "radius", "push", "drag"), balls),
-        (("stiffness", "normal", "distance", "force", "tangential", *OF_CONTACTS), contacts[whole]),
-    ):
-        values = {name: getattr(network, name) for name in names}
-        values_left |= {name: value[which] for name, value in values.items() if value is not None}
-    return dataclasses.replace(network, **values_left)
+    kept = {name: value[balls] for name, value in network.arrays_of("ball").items()}
+    for name, value in network.arrays_of("contact").items():
+        kept[name] = value[contacts[whole]]
+    return dataclasses.replace(network, **kept | {"bond": bond[whole]})

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 from pgran.errors import InputError
-from pgran.medium.units import check_size, einstein_frequency
+from pgran.medium.base import check_size, einstein_frequency
 
 # In Hertz's law k ~ F^(1/3): where k is drawn uniformly from [0, kmax], the mean force is a quarter
 # of the strongest.
@@ -60,29 +60,26 @@ def force_of_stiffness(constant, stiffness):
 
 
 def pressure_of_force(force, diameter, fraction=0.64, contacts=6.0):
-    """Return the pressure on a bed of balls whose contacts bear a mean force.
+    """Return the pressure p = phi Z F / (pi d^2) on a bed of balls of a mean contact force (Rumpf).
 
-    The mean stress of contacts F d, Z/2 of them a ball, where balls fill a part phi of the volume,
-    is p = phi Z F / (pi d^2) (Rumpf); `fraction` is phi, `contacts` is Z. In the simple cubic
-    lattice F = p d^2.
+    Balls fill a part phi, the `fraction`, of the volume and have Z `contacts`, Z/2 of them each, of
+    the stress F d. In the simple cubic lattice F = p d^2.
     """
     return fraction * contacts * force / (math.pi * diameter**2)
 
 
 def damping_of_quality(stiffness, quality, omega):
-    """Return beta = k / (Q omega), which makes waves ring with a quality factor Q.
+    """Return beta = k / (Q omega) of a quality factor Q, the inverse loss angle of a contact.
 
-    It is the loss angle of a contact, and with equal contacts omega over the full width at half
-    power of a mode.
+    With equal contacts Q is omega over the full width at half power of a mode.
     """
     return stiffness / (quality * omega)
 
 
 def damping_of_restitution(stiffness, mass, restitution):
-    """Return beta of a linear contact between two balls that part with a part e of their speed.
+    """Return beta of a linear contact of two balls that part with a part e of their speed.
 
-    e = exp(-pi zeta / sqrt(1 - zeta^2)), beta = 2 zeta sqrt(k m/2), with k of the contact, m of a
-    ball.
+    e = exp(-pi zeta / sqrt(1 - zeta^2)), beta = 2 zeta sqrt(k m/2), of k and a ball's mass m.
     """
     loss = -math.log(restitution)
     return 2 * loss / math.hypot(math.pi, loss) * math.sqrt(stiffness * mass / 2)
@@ -112,7 +109,7 @@ def effective_stiffness(dimensions):
 
 
 class Scale:
-    """The units of a lattice of so many dimensions whose strongest contacts are under a force.
+    """The units of a lattice whose strongest contacts are under a force.
 
     In the program's units the mass of a ball, omega_mx and the spacing are 1, and the stiffness is
     `kmax`. Raises InputError if numbers do not fit into doubles.
@@ -142,10 +139,7 @@ class Scale:
 
     @property
     def packed(self):
-        """The units of force and time in which `pgran pack` has balls of this mean diameter.
-
-        There the diameter and the mass are 1, and c is 1/2.
-        """
+        """The units of force and time of `pgran pack`, where diameter and mass are 1, c is 1/2."""
         force = 2 * self.constant * self.diameter**1.5
         return force, math.sqrt(self.mass * self.diameter / force)
 

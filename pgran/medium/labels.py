@@ -3,7 +3,7 @@
 import logging
 
 from pgran.medium.dissipation import LETTERS
-from pgran.medium.law import DEFAULTS, IN_WORDS
+from pgran.medium.law import IN_WORDS, PARAMETERS
 from pgran.run.options import options_in
 
 log = logging.getLogger("pgran")
@@ -51,7 +51,7 @@ def facts_of(result):
     law = IN_WORDS.get(bonds.get("law"))
     if law:
         facts["bonds_law"] = law.format(**bonds)
-        for name in [*DEFAULTS, "file"] + ["seed"] * (bonds["law"] in ("file", "constant")):
+        for name in [*PARAMETERS, "file"] + ["seed"] * (bonds["law"] in ("file", "constant")):
             facts.pop(f"bonds_{name}", None)
     return facts
 

@@ -2,41 +2,43 @@
 
 Balls sit at integer sites, zero-based. The walls sit one spacing outside; all are at rest but the
 one behind the last ball of the first axis, which is driven. Bonds join nearest neighbours, and
-every ball at a wall to that wall: `stiffness[axis]` is one longer than the lattice along `axis`,
-and its entry `i` joins the balls `i - 1` and `i`. A side may be free: it has no wall, and the bonds
-there, which keep their places in the arrays, do not exist. Instead of a wall's motion forces on
-balls, a push, may drive.
+every ball at a wall to that wall: along an axis there is one bond more than balls, and bond `i`
+joins the balls `i - 1` and `i`. They are numbered axis after axis, each array in C order. A side
+may be free: it has no wall, and the bonds there, which keep their places in the arrays, do not
+exist. Instead of a wall's motion forces on balls, a push, may drive.
 """
 
+import dataclasses
 import hashlib
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgran.arguments import called_right, shown, whole_number
+from pgran.arguments import called_right, choice, shown, whole_number
 from pgran.errors import InputError
-from pgran.medium.base import Elimination, Medium
+from pgran.medium.base import AXES, BETA, EPSILON, Elimination, check_magnitudes, closest
 from pgran.medium.bonds import (
-    AXES,
     SIGNS,
-    ElasticBonds,
     balls_above,
     bond_arrays,
     bond_count,
     bond_ends,
     bond_shape,
+    bond_sides,
     cut_sides,
+    dissected,
 )
-from pgran.medium.dissection import dissected
 from pgran.medium.law import BondLaw, unit_numbers
-from pgran.medium.source import checked_drive, checked_sides, nearest
-from pgran.medium.springs import Springs
-from pgran.medium.units import BETA, check_magnitudes
+from pgran.medium.springs import Elastic, Springs
 from pgran.run.machine import check_memory
 from pgran.run.numbers import number, numbers
 from pgran.store.estimate import counted
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 # By axes, up to how many balls: one rank has the lattice; PETSc factors it faster than MUMPS; the
 # order of minimum degree suits lattices better that are `LONG` times as long as wide, or more.
@@ -49,7 +51,7 @@ SECONDS = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}
 
 @called_right
 @dataclass(frozen=True, eq=False)
-class Lattice(ElasticBonds, Medium):
+class Lattice(Elastic):
     """Balls of one mass, springs of individual stiffness, one damping constant.
 
     Lattices are equal if all of their numbers are.
@@ -78,10 +80,28 @@ class Lattice(ElasticBonds, Medium):
     free : sequence of str
         Sides without a wall, such as `("y+",)`: the constants of bonds there become 0.
 
+    Attributes
+    ----------
+    shape, axes, size, bonds
+        Balls along each axis, how many axes, balls and bonds, wall bonds included, there are.
+    constants, shares : numpy.ndarray, shape (bonds,)
+        Constants of all bonds, axis after axis, each array in C order; 1, or 0 at free sides.
+    moved : numpy.ndarray, shape (ny, ...)
+        How far each place of the driven wall moves.
+
     Raises
     ------
     InputError
         If shapes or values are impossible.
+
+    Examples
+    --------
+    >>> import pgran
+    >>> lattice = pgran.Lattice.random((6, 5), seed=1)
+    >>> [k.shape for k in lattice.stiffness]
+    [(7, 5), (6, 6)]
+    >>> pgran.Lattice(lattice.stiffness, kmax=lattice.kmax) == lattice
+    True
     """
 
     stiffness: tuple
@@ -96,33 +116,54 @@ class Lattice(ElasticBonds, Medium):
     drag: float = 0.0
     loss: float = 0.0
 
+    is_grid = True
+    components = 1  # unknowns of a ball
+    inertia_ratio = 1.0  # the unit of mass over that of each ball
+    row_norms = math.sqrt(2), 0.0  # |b|_2 of a bond, what rounding adds to a difference
+
     def __post_init__(self):
-        stiffness = self.stiffness if isinstance(self.stiffness, (list, tuple)) else ()
-        arrays = tuple(np.array(numbers("stiffness", k), order="C") for k in stiffness)
-        if not 1 <= len(arrays) <= 3 or any(k.ndim != len(arrays) for k in arrays):
+        given = self.stiffness if isinstance(self.stiffness, (list, tuple)) else ()
+        given = [numbers("stiffness", k) for k in given]
+        axes = len(given)
+        if not 1 <= axes <= 3 or any(k.ndim != axes for k in given):
             raise InputError("stiffness: one array for each of 1 to 3 axes is needed")
-        for name in ("mass", "damping", "drag", "loss"):
-            object.__setattr__(self, name, number(f"lattice_{name}", getattr(self, name)))
-        shape = tuple(n - (axis == 0) for axis, n in enumerate(arrays[0].shape))
-        for axis, k in enumerate(arrays):
+        shape = tuple(n - (axis == 0) for axis, n in enumerate(given[0].shape))
+        for axis, k in enumerate(given):
             name = f"stiffness_{AXES[axis]}"
             if k.shape != bond_shape(shape, axis) or min(shape) < 1:
                 raise InputError(f"{name}: shape {k.shape} does not fit a lattice of {shape}")
             if not np.all(np.isfinite(k)) or np.any(k < 0):
                 raise InputError(f"{name}: every bond constant must be finite and not negative")
-        object.__setattr__(self, "free", checked_sides(self.free, len(arrays)))
-        cut_sides(arrays, self.free)
-        for k in arrays:
+        values = {"shape": shape, "axes": axes, "size": math.prod(shape)}
+        values["free"] = _checked_sides(self.free, axes)
+        shares = np.ones(bond_count(shape))
+        cut_sides(bond_arrays(shape, shares), values["free"])
+        constants = shares * np.concatenate([k.ravel() for k in given])
+        for k in (shares, constants):
             k.flags.writeable = False
-        object.__setattr__(self, "stiffness", arrays)
-        for name, wanted in (("wall", shape[1:]), ("push", shape)):
-            object.__setattr__(self, name, checked_drive(name, getattr(self, name), wanted))
+        values |= {"shares": shares, "constants": constants, "bonds": len(shares)}
+        values["stiffness"] = bond_arrays(shape, constants)
+        values["stiffest"] = float(constants.max())
+        for name in ("mass", "damping", "drag", "loss"):
+            values[name] = number(f"lattice_{name}", getattr(self, name))
+        values["wall"] = _checked_drive("wall", self.wall, shape[1:])
+        values["push"] = values["pushed"] = _checked_drive("push", self.push, shape)
         if self.wall is not None and self.push is not None:
             raise InputError("lattice: either a wall moves or a push drives, not both")
-        kmax = self.stiffest if self.kmax is None else number("-bonds_kmax", self.kmax)
-        object.__setattr__(self, "kmax", kmax)
-        check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, kmax)
-        self._check_dissipation(self.constants[self.existing])
+        kmax = values["stiffest"] if self.kmax is None else self.kmax
+        values["kmax"] = number("-bonds_kmax", kmax)
+        wall = np.ones(shape[1:]) if self.wall is None else values["wall"]
+        moves = values["push"] is None and "x+" not in values["free"]
+        values["moved"] = wall if moves else np.zeros(shape[1:])  # each place of the driven wall
+        values["drive"] = np.zeros(len(shares))
+        bond_arrays(shape, values["drive"])[0][-1] = values["moved"]
+        vars(self).update(values)
+        check_magnitudes(self)
+        self._check_dissipation(constants[self.existing])
+        damped = shares * self.law(constants) if self.damping_power else shares
+        losses = self.loss * constants if self.loss else None
+        drags = np.full(self.size, self.drag) if self.drag else None
+        vars(self).update(damped_springs=damped, losses=losses, drags=drags)
 
     def __repr__(self):
         return (
@@ -133,9 +174,10 @@ class Lattice(ElasticBonds, Medium):
     @classmethod
     @called_right
     def random(
-        cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=BETA, free=(), gravity=0.0,
-        damping_power=0.0, drag=0.0, loss=0.0, **parameters,
-    ):  # fmt: skip
+        cls, shape: "ArrayLike", seed: int = 1993, law: "str | BondLaw" = "uniform", *,
+        mass: float = 1.0, damping: float = BETA, free: tuple = (), gravity: float = 0.0,
+        damping_power: float = 0.0, drag: float = 0.0, loss: float = 0.0, **parameters: float,
+    ) -> "Lattice":  # fmt: skip
         """Return the lattice that the options of a run describe, the same on every rank.
 
         Parameters
@@ -160,6 +202,12 @@ class Lattice(ElasticBonds, Medium):
         ------
         InputError
             If a value is impossible.
+
+        Examples
+        --------
+        >>> import pgran
+        >>> pgran.Lattice.random((6, 5), law="bimodal", fraction=0.8)
+        Lattice(6 x 5, mass=1, beta 0.003, omega_mx=1)
         """
         if not isinstance(law, BondLaw):
             law = BondLaw(law, **parameters)
@@ -180,30 +228,116 @@ class Lattice(ElasticBonds, Medium):
         dissipation = {"damping_power": damping_power, "drag": drag, "loss": loss}
         return cls(bonds, mass, damping, law.kmax, free=free, **dissipation)
 
-    @property
-    def shape(self):
-        """Balls along each axis."""
-        first = self.stiffness[0].shape
-        return (first[0] - 1, *first[1:])
+    @cached_property
+    def bonds_sha256(self):
+        """Checksum of all bond constants, as little-endian doubles, axis after axis."""
+        return hashlib.sha256(self.constants.astype("<f8", copy=False)).hexdigest()
 
-    @property
-    def axes(self):
-        """How many axes the lattice has."""
-        return len(self.stiffness)
+    def with_constants(self, constants):
+        """Return the lattice with other constants of all bonds."""
+        return dataclasses.replace(self, stiffness=bond_arrays(self.shape, constants))
 
-    @property
-    def size(self):
-        """How many balls there are."""
-        return math.prod(self.shape)
-
-    is_grid = True
-    components = 1  # unknowns of a ball
-    inertia_ratio = 1.0  # the unit of mass over that of each ball
+    # What damps.
 
     @property
     def isotropic(self):
         """Whether the dashpots make the graph's Laplacian."""
         return not self.damping_power
+
+    @cached_property
+    def least_damping(self):
+        """The smallest eigenvalue of C, the Laplacian of the uniform lattice with its walls.
+
+        Along an axis of n balls the lowest mode is a half wave between walls n + 1 apart, a quarter
+        of one where a side is free, and a constant where both are.
+        """
+        total = 0.0
+        for axis, n in enumerate(self.shape):
+            walls = 2 - sum(side[0] == AXES[axis] for side in self.free)
+            length = {2: n + 1, 1: 2 * n + 1}.get(walls)
+            total += 4 * math.sin(math.pi / (2 * length)) ** 2 if length else 0.0
+        return total
+
+    @cached_property
+    def existing(self):
+        """The numbers of the bonds that exist: all but those at free sides."""
+        return np.flatnonzero(self.shares)
+
+    # What drives.
+
+    def pushed_by(self, forces):
+        """Return as a change what a push on each ball, shape (balls,), makes of the lattice."""
+        return {"push": forces.reshape(self.shape), "wall": None}
+
+    def check_driven(self):
+        """Raise InputError if nothing is driven, or if no side has a wall."""
+        if self.least_damping == 0 and not self.drag:
+            raise InputError("-lattice_free: without any wall the lattice floats; leave one")
+        if self.push is None and not np.any(self.moved):
+            raise InputError(
+                "-lattice_free: x+ is the wall that drives; keep it, or let -drive_balls drive"
+            )
+
+    # B and its adjoint, which `Elastic` asks for, and how large sums over springs are.
+
+    def blocks(self, values):
+        """Return numbers of all bonds as one array for each axis."""
+        return bond_arrays(self.shape, values)
+
+    def stretch(self, fields):
+        """Yield B x for the bonds along each axis, walls at rest."""
+        for axis in range(-self.axes, 0):
+            below, above = bond_sides(fields, axis, 0.0)
+            yield above - below
+
+    def spread(self, tensions):
+        """Return B^T t: the sum, ball by ball, of what its bonds hold; arrays as of `stretch`."""
+        total = 0.0
+        for axis, t in enumerate(tensions, -self.axes):
+            total -= np.diff(t, axis=axis)  # the bond below a ball counts +, as in B
+        return total
+
+    @cached_property
+    def springs(self):
+        """See `springs.Springs`."""
+        ends = bond_ends(np.arange(self.size).reshape(self.shape))
+        ends[self.shares == 0] = -1
+        constants = self.constants
+        return Springs(
+            self.size, ("normal",), ends, SIGNS[None], self.drive, self.drive, constants,
+            constants, self.shares, self.damped_springs, np.full(self.bonds, self.loss),
+        )  # fmt: skip
+
+    @property
+    def dashpot_norm(self):
+        """No less than |B^T diag(d) B|_2."""
+        return 4 * self.axes * (self.damped_springs.max() if self.damping_power else 1)
+
+    @property
+    def stiffness_norm(self):
+        """No less than |K|_2: |K|_inf, twice its largest diagonal entry, the sum of its bonds."""
+        diagonal = 0.0
+        for axis, k in enumerate(self.stiffness):
+            diagonal = diagonal + (np.delete(k, 0, axis) + np.delete(k, -1, axis))
+        return 2 * float(np.max(diagonal))
+
+    @property
+    def rounding(self):
+        """The u for which rounding moves a ball's residual by at most u (|f| + |S| |x|).
+
+        Each operation adds at most h = EPSILON / 2 of the sum of all magnitudes, a product of
+        complex numbers sqrt(5) h (Brent, Percival, Zimmermann 2007). From the constants to f - S x
+
+        - 2d - 1 sums of bonds make K_pp, two more add s C and s^2 m, or a product (s beta), one
+          with C_pp and two sums, or two products (m s^2) and a sum: 2d + 3 hold all three;
+        - a complex product, 2d sums in the row and the difference from f: less than 2d + 4.
+
+        So 4d + 7, and one more for what is of second order and for evaluating the bound. A residual
+        K x - lambda x, stretch by stretch, has fewer: two differences, three products and d sums.
+        """
+        return (2 * self.axes + 4) * EPSILON
+
+    # How it is eliminated.
 
     @property
     def is_large(self):
@@ -231,49 +365,7 @@ class Lattice(ElasticBonds, Medium):
         """How many nonzeros a row for each ball has in all, walls counted."""
         return (2 * self.axes + 1) * self.size
 
-    @property
-    def pushed(self):
-        """The push as a force on each unknown, None unless one drives."""
-        return self.push
-
-    def pushed_by(self, forces):
-        """Return as a change what a push on each ball, shape (balls,), makes of the lattice."""
-        return {"push": forces.reshape(self.shape), "wall": None}
-
-    @property
-    def constants(self):
-        """The constants of all bonds, axis after axis, each array in C order."""
-        return np.concatenate([k.ravel() for k in self.stiffness])
-
-    @cached_property
-    def springs(self):
-        """See `springs.Springs`."""
-        ends = bond_ends(np.arange(self.size).reshape(self.shape))
-        ends[self.shares == 0] = -1
-        constants = self.constants
-        return Springs(
-            self.size, ("normal",), ends, SIGNS[None], self.drive, self.drive, constants,
-            constants, self.shares, self.damped_springs, np.full(self.bonds, self.loss),
-        )  # fmt: skip
-
-    @property
-    def stiffest(self):
-        """The largest bond constant."""
-        return max(float(k.max()) for k in self.stiffness)
-
-    @property
-    def bonds(self):
-        """How many bonds there are, wall bonds included."""
-        return bond_count(self.shape)
-
-    def check_driven(self):
-        """Raise InputError if nothing is driven, or if no side has a wall."""
-        if self.least_damping == 0 and not self.drag:
-            raise InputError("-lattice_free: without any wall the lattice floats; leave one")
-        if self.push is None and not np.any(self.moved):
-            raise InputError(
-                "-lattice_free: x+ is the wall that drives; keep it, or let -drive_balls drive"
-            )
+    # Where balls and bonds are.
 
     def sites(self, detectors, name="-detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
@@ -310,7 +402,7 @@ class Lattice(ElasticBonds, Medium):
             driving = np.argwhere(self.push)
         else:
             driving = np.insert(np.argwhere(self.moved), 0, self.shape[0], axis=1)
-        return nearest(sites, driving)
+        return closest(sites, driving)
 
     def displacements(self, field):
         """Return an array of unknowns as displacements, which they are here."""
@@ -325,7 +417,34 @@ class Lattice(ElasticBonds, Medium):
         """Return the numbers of balls given by their indices, (count, dim)."""
         return np.ravel_multi_index(sites.T, self.shape)
 
-    @cached_property
-    def bonds_sha256(self):
-        """Checksum of all bond constants, as little-endian doubles, axis after axis."""
-        return hashlib.sha256(self.constants.astype("<f8", copy=False)).hexdigest()
+    def bond_places(self, bonds):
+        """Return the axis of each numbered bond, and its index into that axis's array.
+
+        The indices are an array with one axis more, of the length of `shape`.
+        """
+        shapes = [bond_shape(self.shape, axis) for axis in range(self.axes)]
+        axis = np.repeat(np.arange(self.axes), [math.prod(shape) for shape in shapes])
+        index = [np.indices(shape).reshape(self.axes, -1).T for shape in shapes]
+        return axis[bonds], np.concatenate(index)[bonds]
+
+
+def _checked_sides(sides, axes):
+    """Return sides such as `y+`, in order; raise InputError if a lattice has none of that name."""
+    sides = tuple(sides.split(",")) if isinstance(sides, str) else tuple(sides)
+    possible = [f"{axis}{end}" for axis in AXES[:axes] for end in "-+"]
+    for side in sides:
+        choice("-lattice_free", side, possible)
+    return tuple(side for side in possible if side in sides)
+
+
+def _checked_drive(name, value, shape):
+    """Return motions or forces that drive, as a copy that nobody can change, or None."""
+    if value is None:
+        return None
+    array = np.array(numbers(f"lattice: {name}", value))
+    if array.shape != shape or not np.all(np.isfinite(array)) or not np.any(array):
+        raise InputError(
+            f"lattice: {name}: finite numbers of the shape {shape} are needed, not all zero"
+        )
+    array.flags.writeable = False
+    return array

@@ -1,19 +1,72 @@
-"""Bond constants as a pure function of seed, bond and generation.
+"""Bond constants drawn by a law, at first and again: a pure function of seed, bond and generation.
 
 Bond b of a lattice (axis after axis, each array in C order) has the b-th number of the Philox
 stream keyed by the seed: a counter-based generator whose raw output NumPy guarantees for good. So
 the constants depend neither on the number of ranks nor on the order in which they are drawn.
 Elementary functions are evaluated in extended precision and rounded once, because double-precision
 exp and log differ in the last bit between processors and NumPy versions.
+
+At each step of a relaxation one bond, drawn uniformly, gets a new constant. Both draws are a pure
+function of (seed, trajectory, step): the next changes are known ahead.
 """
+
+import dataclasses
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from pgran.arguments import called_right, choice, shown
 from pgran.errors import InputError, PgranError
-from pgran.medium.units import check_size
-from pgran.run.numbers import number, numbers
-from pgran.run.options import REAL, Option
+from pgran.medium.base import Medium
+from pgran.medium.base import medium as medium_of
+from pgran.run.numbers import numbers
+from pgran.run.options import INTEGER, REAL, Option
+
+log = logging.getLogger("pgran")
+
+# The parameters of laws, by their keywords.
+HERTZ = Option(
+    "bonds_hertz", REAL, 1.0, "hertz: c in F = c h^(3/2)", "force / length^(3/2)", above=0
+)
+PARAMETERS = {
+    "kmin": Option("bonds_kmin", REAL, 0.0, "smallest bond constant", "mass x frequency^2", low=0),
+    "kmax": Option(
+        "bonds_kmax", REAL, 0.25,
+        "largest bond constant; of hertz and file that of omega_mx, by default the largest",
+        "mass x frequency^2", above=0
+    ),
+    "fraction": Option(
+        "bonds_fraction", REAL, 0.5, "bimodal: part of the bonds that is kmax", low=0, high=1
+    ),
+    "force": Option("bonds_force", REAL, 1.0, "hertz: mean contact force", "force", above=0),
+    "hertz": HERTZ,
+}  # fmt: skip
+GRAVITY = Option(
+    "bonds_gravity", REAL, 0.0,
+    "hertz: by how much the mean force grows with each ball above, along the last axis",
+    "force", low=0
+)  # fmt: skip
+# A law in words, of parameters in words; formulas between dollars.
+IN_WORDS = {
+    "uniform": "uniform on [{kmin}, {kmax}]",
+    "constant": "all {kmax}",
+    "loguniform": "log-uniform on [{kmin}, {kmax}]",
+    "bimodal": "{kmax} with probability {fraction}, else {kmin}",
+    "hertz": "by Hertz's law with $c$ = {hertz}, of exponential forces of mean {force}",
+    "file": "read from {file}",
+}
+STEPS = Option(
+    "bonds_redrawn", INTEGER, 0,
+    "how many steps of a relaxation come before: each redraws a bond by the law, or a contact "
+    "of a network from all of its constants", low=0, high=10**7
+)  # fmt: skip
+SEED = Option(
+    "bonds_redrawn_seed", INTEGER, 1, "seed of these changes, like -relax_seed",
+    low=0, high=2**63 - 1
+)  # fmt: skip
 
 
 def unit_numbers(seed, first, count, generation=0):
@@ -67,20 +120,6 @@ LAWS = {
     "bimodal": (_bimodal, ("kmin", "kmax", "fraction")),
     "hertz": (_hertz, ("force", "hertz")),
 }
-# A law in words, of parameters in words; formulas between dollars.
-IN_WORDS = {
-    "uniform": "uniform on [{kmin}, {kmax}]",
-    "constant": "all {kmax}",
-    "loguniform": "log-uniform on [{kmin}, {kmax}]",
-    "bimodal": "{kmax} with probability {fraction}, else {kmin}",
-    "hertz": "by Hertz's law with $c$ = {hertz}, of exponential forces of mean {force}",
-    "file": "read from {file}",
-}
-DEFAULTS = {"kmin": 0.0, "kmax": 0.25, "fraction": 0.5, "force": 1.0, "hertz": 1.0}
-HERTZ = Option(
-    "bonds_hertz", REAL, DEFAULTS["hertz"], "hertz: c in F = c h^(3/2)",
-    "force / length^(3/2)", above=0
-)  # fmt: skip
 
 
 @called_right
@@ -92,15 +131,27 @@ class BondLaw:
     name : str
         A key of `LAWS`.
     kmin, kmax, fraction, force, hertz : float, optional
-        Parameters of this law, the options `-bonds_kmin` and so on; by default as `DEFAULTS`.
+        Parameters of this law, the options `-bonds_kmin` and so on; by default as `PARAMETERS` say.
 
     Raises
     ------
     InputError
         If the parameters are impossible, or another law's.
+
+    Examples
+    --------
+    >>> import pgran
+    >>> law = pgran.BondLaw("uniform", kmax=2.0)
+    >>> law
+    BondLaw('uniform', kmin=0.0, kmax=2.0)
+    >>> float(law(0.75))
+    1.5
     """
 
-    def __init__(self, name, *, kmin=None, kmax=None, fraction=None, force=None, hertz=None):
+    def __init__(
+        self, name: str, *, kmin: float | None = None, kmax: float | None = None,
+        fraction: float | None = None, force: float | None = None, hertz: float | None = None,
+    ):  # fmt: skip
         self.function, names = LAWS[choice("-bonds_law", name, LAWS)]
         own = {"kmin": kmin, "kmax": kmax, "fraction": fraction, "force": force, "hertz": hertz}
         own = {key: value for key, value in own.items() if value is not None}
@@ -109,15 +160,12 @@ class BondLaw:
                 raise InputError(
                     f"-bonds_{key}: no parameter of the law {name}; it has {' and '.join(names)}"
                 )
-        values = {key: number(f"bonds_{key}", own.get(key, DEFAULTS[key])) for key in names}
-        for key, value in values.items():
-            check_size(f"-bonds_{key}", value, positive=key not in ("kmin", "fraction"))
+        values = {key: own.get(key, PARAMETERS[key].default) for key in names}
+        values = {key: PARAMETERS[key].check(value) for key, value in values.items()}
         if "kmin" in names and values["kmin"] > values["kmax"]:
             raise InputError(f"-bonds_kmin: {values['kmin']} exceeds -bonds_kmax {values['kmax']}")
         if name == "loguniform" and values["kmin"] == 0:
             raise InputError("-bonds_kmin: must be positive for -bonds_law loguniform")
-        if name == "bimodal" and values["fraction"] > 1:
-            raise InputError(f"-bonds_fraction: must lie in [0, 1], not {values['fraction']}")
         self.name, self.parameters, self.kmax = name, values, values.get("kmax")
 
     def __call__(self, u):
@@ -130,7 +178,7 @@ class BondLaw:
         The mean force grows from `force` to force + weight * above, k like its cube root. Raises
         InputError of another law, or of an impossible weight.
         """
-        check_size("-bonds_gravity", number("-bonds_gravity", weight), positive=False)
+        GRAVITY.check(weight)
         if self.name != "hertz":
             raise InputError("-bonds_gravity: forces make constants by -bonds_law hertz only")
         return np.cbrt(1 + weight * above / self.parameters["force"])
@@ -140,11 +188,38 @@ class BondLaw:
         return f"BondLaw({', '.join([repr(self.name), *parameters])})"
 
 
-def drawn(law, u):
-    """Return the constants that a law of the user's makes of numbers uniform on [0, 1).
+def make_law(options):
+    """Return the law that the options of a run describe."""
+    _, names = LAWS[options.bonds_law]
+    return BondLaw(options.bonds_law, **{name: getattr(options, f"bonds_{name}") for name in names})
 
-    Raises InputError unless there is one for each number, finite and not negative.
+
+def check_law(law):
+    """Return a law of the user's, or None for none, once it has been tried; raise InputError.
+
+    Each constant must depend on its own number alone: else results would depend on how many are
+    drawn at a time.
     """
+    if law is None:
+        return None
+    if not callable(law):
+        hint = "pgran.BondLaw makes one"
+        raise InputError(f"law: {shown(law)} is no function of numbers between 0 and 1; {hint}")
+    whole = _drawn(law, TRIED)
+    parts = np.concatenate([_drawn(law, TRIED[:3]), _drawn(law, TRIED[3:])])
+    if not np.allclose(whole, parts, rtol=1e-12, atol=0):
+        raise InputError(
+            "law: returns other constants for the same numbers; each must depend on its own number "
+            "alone, not on others, earlier calls or another source of chance"
+        )
+    return law
+
+
+TRIED = unit_numbers(0, 0, 16)  # what laws are tried with
+
+
+def _drawn(law, u):
+    """Return a law's constants, finite and not negative, one for each number; raise InputError."""
     try:
         returned = law(u.copy())
     except PgranError:
@@ -165,31 +240,87 @@ def drawn(law, u):
     return constants
 
 
-def check_law(law):
-    """Return a law of the user's, or None for none, once it has been tried; raise InputError.
+@called_right
+def redrawn(medium: Medium, steps: int, seed: int = 1, law: Callable | None = None) -> Medium:
+    """Return a medium after so many steps of the first trajectory of `relax`.
 
-    Each constant must depend on its own number alone: else results would depend on how many are
-    drawn at a time.
+    Parameters
+    ----------
+    medium : pgran.Lattice or pgran.Network
+    steps : int
+        Each redraws one bond; other bonds, and omega_mx, stay.
+    seed : int
+        Seed of the changes, as of `relax`.
+    law : callable, optional
+        As of `relax`: None draws from the constants that the medium has.
+
+    Returns
+    -------
+    pgran.Lattice or pgran.Network
+
+    Raises
+    ------
+    InputError
+        If the steps or the law are impossible.
+
+    Examples
+    --------
+    >>> import numpy as np, pgran
+    >>> lattice = pgran.Lattice.random((6, 5), seed=1)
+    >>> later = pgran.redrawn(lattice, 3, law=pgran.BondLaw("uniform"))
+    >>> int(np.count_nonzero(later.constants != lattice.constants))
+    3
     """
-    if law is None:
-        return None
-    if not callable(law):
-        hint = "pgran.BondLaw makes one"
-        raise InputError(f"law: {shown(law)} is no function of numbers between 0 and 1; {hint}")
-    whole = drawn(law, TRIED)
-    parts = np.concatenate([drawn(law, TRIED[:3]), drawn(law, TRIED[3:])])
-    if not np.allclose(whole, parts, rtol=1e-12, atol=0):
-        raise InputError(
-            "law: returns other constants for the same numbers; each must depend on its own number "
-            "alone, not on others, earlier calls or another source of chance"
-        )
-    return law
+    medium = medium_of(medium)
+    changes = Redraw(medium, check_law(law), SEED.check(seed))(0, 0, STEPS.check(steps))
+    constants = medium.constants.copy()
+    constants[changes.bond] = changes.stiffness  # of several of one bond the last holds
+    if len(changes) and np.array_equal(constants, medium.constants):
+        log.warning("-bonds_redrawn %d: each bond has its old constant again", len(changes))
+    return medium.with_constants(constants)
 
 
-TRIED = unit_numbers(0, 0, 16)  # what laws are tried with
+class Redraw:
+    """The changes of a medium's bonds, by a law; None draws from the constants that it has."""
+
+    def __init__(self, medium, law, seed):
+        self.bonds, self.seed = medium.existing, seed
+        constants = medium.constants[self.bonds]
+
+        def own(u):
+            return constants[(u * len(constants)).astype(np.int64)]
+
+        self.law = own if law is None else partial(_drawn, law)
+
+    def __call__(self, trajectory, first, count, unit=1.0):
+        """Return the changes of some steps, constants in a unit; see `draw_changes`."""
+        changes = draw_changes(self.law, len(self.bonds), self.seed, trajectory, first, count, unit)
+        return dataclasses.replace(changes, bond=self.bonds[changes.bond])
 
 
-def make_law(options):
-    """Return the law that the bond constants are drawn from."""
-    _, names = LAWS[options.bonds_law]
-    return BondLaw(options.bonds_law, **{name: getattr(options, f"bonds_{name}") for name in names})
+def draw_changes(law, bonds, seed, trajectory, first, count, unit=1.0):
+    """Return the changes of `count` steps from step `first` on, counted from 0, in a unit.
+
+    Trajectories of one seed are independent. `law` turns numbers uniform on [0, 1) into constants.
+    """
+    # two numbers a step: u[0] u[1] | u[2] u[3] | ...  say  bond, constant | bond, constant | ...
+    u = unit_numbers(seed, 2 * first, 2 * count, generation=1 + trajectory)
+    return Changes(np.minimum((u[::2] * bonds).astype(np.int64), bonds - 1), law(u[1::2]) / unit)
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Which bonds change, and to what."""
+
+    bond: np.ndarray  # numbers of bonds, axis after axis, each array in C order
+    stiffness: np.ndarray  # their new constants
+
+    def __getitem__(self, steps):
+        return Changes(self.bond[steps], self.stiffness[steps])
+
+    def __len__(self):
+        return len(self.bond)
+
+    def extended(self, count):
+        """Return at least `count` changes, the last one repeated, which changes nothing more."""
+        return self[np.minimum(np.arange(max(count, len(self))), len(self) - 1)]

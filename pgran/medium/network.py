@@ -1,35 +1,137 @@
 """Any network of balls and springs: who touches whom, in which direction, how stiffly.
 
 A ball has one displacement (`scalar`, the paper's model on any graph), a vector of them (`vector`),
-or these and its rotation (`rotations`). `springs` says what springs a contact is. All
-is computed in mass-weighted unknowns sqrt(m_p / m) u_p, m the median of all balls: these have one
-mass m, and S stays symmetric.
+or these and its rotation (`rotations`). `contacts` says what springs a contact is. All is computed
+in mass-weighted unknowns sqrt(m_p / m) u_p, m the median of all balls: these have one mass m, and S
+stays symmetric.
 """
 
+import dataclasses
 import hashlib
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 
 import numpy as np
 
 from pgran.arguments import called_right
 from pgran.errors import InputError
-from pgran.medium.base import Medium
-from pgran.medium.bonds import AXES
-from pgran.medium.checks import check_network, checked_values, unit_direction
+from pgran.medium.base import AXES, BETA, EPSILON, check_magnitudes, closest, unit_vector
+from pgran.medium.checks import check_network, checked_values
+from pgran.medium.contacts import springs_of
 from pgran.medium.graph import Connected
-from pgran.medium.source import nearest
-from pgran.medium.springs import AT_REST, DRIVEN, FREE, Elastic, springs_of
-from pgran.medium.units import BETA, check_magnitudes
+from pgran.medium.springs import AT_REST, DRIVEN, FREE, Elastic, norm_of
 from pgran.run.numbers import number, numbers
+from pgran.store.record import Record, array, attribute, attribute_array
 
 log = logging.getLogger("pgran")
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class NetworkRecord(Record):
+    """The network a result belongs to: N balls, nb contacts, laid out like a network's own file.
+
+    Arrays of `balls` in other records have the components of its free balls one after the other.
+    What its arrays are, their types and axes, is declared here alone.
+    """
+
+    group = "network"
+    displacement: str
+    damped: str
+    component: str
+    damping: float
+    kmax: float
+    median_mass: float = attribute(since=5)
+    omega_mx: float
+    unknowns: int
+    bonds_sha256: str = field(metadata={"of_run": True})
+    direction: np.ndarray = attribute_array("drive_coordinate")
+    bond: np.ndarray = array("balls of the contacts", "1", "contact", "end", dtype=int)
+    stiffness: np.ndarray = array("constants of the contacts", "k", "contact")
+    held: np.ndarray = array("0: free, 1: at rest, 2: driven", "1", "ball", dtype=int)
+    mass: np.ndarray = array("masses of the balls", "m", "ball")
+    position: np.ndarray | None = array(
+        "positions of the balls", "1", "ball", "coordinate", optional=True
+    )
+    radius: np.ndarray | None = array("radii of the balls", "1", "ball", optional=True)
+    normal: np.ndarray | None = array(
+        "from the first ball of a contact to the second, of length 1",
+        "1", "contact", "coordinate", optional=True,
+    )  # fmt: skip
+    distance: np.ndarray | None = array("of the centres", "1", "contact", optional=True)
+    force: np.ndarray | None = array("repulsive force", "k", "contact", optional=True)
+    tangential: np.ndarray | None = array(
+        "constants of tangential springs", "k", "contact", optional=True
+    )
+
+    push: np.ndarray | None = array(
+        "force on each ball, which drives instead of held balls", "k", "ball", "drive_coordinate",
+        optional=True,
+    )  # fmt: skip
+
+    dashpot: np.ndarray | None = array("part of the damping", "1", "contact", optional=True)
+    tangential_dashpot: np.ndarray | None = array(
+        "part of the damping along tangents", "1", "contact", optional=True
+    )
+    drag: np.ndarray | None = array("alpha of the balls", "sqrt(k/m)", "ball", optional=True)
+    loss: np.ndarray | None = array("eta of the contacts", "1", "contact", optional=True)
+    damping_power: float | None = attribute(optional=True)
+    damping_reference: float | None = attribute(optional=True)
+    power: float | None = attribute(optional=True)
+    box: np.ndarray | None = attribute_array("coordinate", optional=True)
+    gravity: np.ndarray | None = attribute_array("coordinate", optional=True)
+
+    length = "lengths"
+
+    @property
+    def has_places(self):
+        """Whether its balls have positions, to be drawn at."""
+        return self.position is not None
+
+    @property
+    def axes(self):
+        """How long the axes of its unknowns are, by name."""
+        return {"axis": 1, "x": self.unknowns}
+
+    @property
+    def shape(self):
+        """The unknowns, as those of a `Network`."""
+        return (self.unknowns,)
+
+    @property
+    def free_balls(self):
+        """How many balls move freely."""
+        return int(np.count_nonzero(self.held == FREE))
+
+    @cached_property
+    def built(self):
+        """The network itself."""
+        same = [item.name for item in fields(self) if item.name in Network.__dataclass_fields__]
+        values = {name: getattr(self, name) for name in same}
+        if self.median_mass is None:  # of an older file: the median of the free balls
+            values["median_mass"] = float(np.median(self.mass[self.held == FREE]))
+        return Network(masses=self.mass, **values)
+
+    @classmethod
+    def of(cls, network):
+        """Return the record of a network."""
+        same = [item.name for item in fields(cls) if item.name not in ("mass", "unknowns")]
+        values = {name: getattr(network, name) for name in same}
+        values["damping_power"] = network.damping_power or None
+        return cls(mass=network.masses, unknowns=network.size, **values)
+
+
+# The arrays that a network is made of, by its own names.
+ARRAYS = {
+    "masses" if item.name == "mass" else item.name: item.metadata
+    for item in fields(NetworkRecord)
+    if "axes" in item.metadata
+}
+
+
 @called_right
 @dataclass(frozen=True, eq=False)
-class Network(Elastic, Connected, Medium):
+class Network(Connected, Elastic):
     """Balls, the contacts between them, and which of them are held.
 
     Networks are equal if all of their numbers are.
@@ -63,8 +165,8 @@ class Network(Elastic, Connected, Medium):
         Distance of the centres, repulsive force, stiffness of the tangential spring.
     radius : array_like of float, shape (N,), optional
         Radii of discs or spheres of uniform density, which rotations need.
-    direction : array_like of float, shape (d,), optional
-        Direction of the drive; by default along x.
+    direction : array_like of float, shape (d,), or str, optional
+        Direction of the drive, also as `x`, `y` or `z`; by default along x.
     damped : str
         `all` of the relative velocity at a contact, or its `normal` part.
     power : float, optional
@@ -84,10 +186,27 @@ class Network(Elastic, Connected, Medium):
         The mass in omega_mx; by default the median of all balls, free or held. It may be that of a
         whole packing, of which this network is a part.
 
+    Attributes
+    ----------
+    axes, turns, components
+        How many components a translation, a rotation and both of a free ball have.
+    free, bonds, size, shape
+        The numbers of the free balls; how many contacts and unknowns there are; (size,).
+    mass
+        That of the mass-weighted unknowns, `median_mass`.
+    springs, constants : Springs, numpy.ndarray
+        All springs, those of contacts along their normals first; their constants.
+
     Raises
     ------
     InputError
         If shapes or values are impossible.
+
+    Examples
+    --------
+    >>> import pgran
+    >>> pgran.Network(bond=[[0, 1], [1, 2]], stiffness=[1.0, 2.0], held=[2, 0, 1])
+    Network(3 balls, 1 of them free, 2 contacts, scalar, beta 0.003, omega_mx=2)
     """
 
     bond: np.ndarray
@@ -119,19 +238,31 @@ class Network(Elastic, Connected, Medium):
     loss: np.ndarray | None = None
 
     def __post_init__(self):
-        for name, value in checked_values(self).items():
-            object.__setattr__(self, name, value)
+        own = vars(self)  # which is not frozen
+        own.update(checked_values(self, ARRAYS))
+        own["axes"] = 1 if self.displacement == "scalar" else self.normal.shape[1]
         check_network(self)
-        object.__setattr__(self, "direction", unit_direction(self.direction, self.axes))
-        if self.median_mass is None:
-            median = float(np.median(self.masses[self.masses > 0]))  # walls may be given none
-        else:
-            median = number("network: median_mass", self.median_mass)
-        object.__setattr__(self, "median_mass", median)
-        self._check_dissipation(self.stiffness, self.tangential)
-        kmax = self.stiffest if self.kmax is None else number("network: kmax", self.kmax)
-        object.__setattr__(self, "kmax", kmax)
-        check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, kmax)
+        own["turns"] = {2: 1, 3: 3}[self.axes] if self.displacement == "rotations" else 0
+        own["components"] = self.axes + self.turns
+        own["free"] = np.flatnonzero(self.held == FREE)
+        own["bonds"], own["size"] = len(self.bond), self.components * len(self.free)
+        own["shape"] = (self.size,)
+        mass = self.median_mass
+        if mass is None:
+            mass = float(np.median(self.masses[self.masses > 0]))  # walls may be given none
+        own["mass"] = own["median_mass"] = number("network: median_mass", mass)
+        name = "network: the direction of the drive"
+        own["direction"] = unit_vector(name, self.direction, self.axes)
+        self._check_dissipation(self.stiffness, () if self.tangential is None else self.tangential)
+        own["springs"] = springs = springs_of(self)
+        own["constants"], own["damped_springs"] = springs.constants, springs.damped
+        own["drive"], own["stiffest"] = springs.drive, float(np.abs(springs.constants).max())
+        own["losses"] = None if self.loss is None else springs.loss_angles * springs.elastic
+        drag = self.drag
+        own["drags"] = None if drag is None else np.repeat(drag[self.free], self.components)
+        kmax = self.stiffest if self.kmax is None else self.kmax
+        own["kmax"] = number("network: kmax", kmax)
+        check_magnitudes(self)
 
     def __repr__(self):
         plane = "" if self.displacement == "scalar" else f" in {self.axes} dimensions"
@@ -141,20 +272,10 @@ class Network(Elastic, Connected, Medium):
             f"omega_mx={self.omega_mx:.6g})"
         )
 
-    @property
-    def axes(self):
-        """How many components a translation has."""
-        return 1 if self.displacement == "scalar" else self.normal.shape[1]
-
-    @property
-    def turns(self):
-        """How many components a rotation has."""
-        return {2: 1, 3: 3}[self.axes] if self.displacement == "rotations" else 0
-
-    @property
-    def components(self):
-        """How many unknowns a free ball has."""
-        return self.axes + self.turns
+    def arrays_of(self, axis):
+        """Return the arrays there are of each `ball` or of each `contact`, by name."""
+        values = {name: getattr(self, name) for name in ARRAYS if ARRAYS[name]["axes"][0] == axis}
+        return {name: value for name, value in values.items() if value is not None}
 
     @property
     def overlap(self):
@@ -167,42 +288,11 @@ class Network(Elastic, Connected, Medium):
         return self.power * self.force / self.stiffness
 
     @cached_property
-    def free(self):
-        """The numbers of the free balls."""
-        return np.flatnonzero(self.held == FREE)
-
-    @property
-    def shape(self):
-        """The unknowns, ball after ball: an array of one axis."""
-        return (self.components * len(self.free),)
-
-    @property
-    def size(self):
-        """How many unknowns there are."""
-        return self.shape[0]
-
-    @property
-    def mass(self):
-        """The mass of the mass-weighted unknowns."""
-        return self.median_mass
-
-    @property
-    def constants(self):
-        """The constants of all springs, those of contacts' normal springs first."""
-        return self.springs.constants
-
-    @cached_property
-    def stiffest(self):
-        """The largest magnitude of a spring's constant."""
-        return float(np.abs(self.springs.constants).max())
-
-    @cached_property
     def bonds_sha256(self):
         """Checksum of all that the springs follow from."""
-        digest = hashlib.sha256()
-        for array in (self.springs.columns.astype("<i8"), self.springs.values.astype("<f8")):
-            digest.update(array.tobytes())
-        digest.update(self.springs.constants.astype("<f8").tobytes())
+        springs, digest = self.springs, hashlib.sha256(self.springs.columns.astype("<i8").tobytes())
+        for values in (springs.values, springs.constants):
+            digest.update(values.astype("<f8").tobytes())
         return digest.hexdigest()
 
     @cached_property
@@ -214,24 +304,57 @@ class Network(Elastic, Connected, Medium):
             inertia[:, self.axes :] *= factor * self.radius[self.free][:, None] ** 2
         return np.sqrt(self.mass / inertia.ravel())
 
-    @property
-    def bonds(self):
-        """How many contacts there are."""
-        return len(self.bond)
+    def with_constants(self, constants):
+        """Return the network with other normal springs; the tangential ones stay."""
+        changed = dataclasses.replace(self, stiffness=constants[: self.bonds])
+        vars(changed)["graph"] = self.graph  # who touches whom is the same
+        return changed
+
+    # B and its adjoint, which `Elastic` asks for, and how large sums over springs are.
+
+    def blocks(self, values):
+        """Return numbers of all springs as they are, in one block."""
+        return (values,)
+
+    def stretch(self, fields):
+        """Yield B x for fields (n, unknowns)."""
+        yield (self.springs.B @ fields.T).T
+
+    def spread(self, tensions):
+        """Return B^T t for one block of tensions (n, springs)."""
+        (t,) = tensions
+        return (self.springs.B.T @ t.T).T
 
     @property
-    def existing(self):
-        """The numbers of the contacts: all."""
-        return np.arange(self.bonds)
-
-    def bond_places(self, bonds):
-        """Return axis, which is 0, and index of numbered contacts."""
-        return np.zeros_like(bonds), bonds[..., None]
+    def row_norms(self):
+        """The largest |b|_2 of a contact, and what rounding adds to b^T x, in units of |x|_2."""
+        values = self.springs.values
+        size = float(np.sqrt(np.sum(values[: self.bonds] ** 2, axis=1)).max())
+        return size, (values.shape[1] + 1) * EPSILON * size
 
     @cached_property
-    def springs(self):
-        """See `springs.Springs`."""
-        return springs_of(self)
+    def dashpot_norm(self):
+        """No less than |B^T diag(d) B|_2."""
+        return norm_of(self.springs.B, self.springs.damped)
+
+    @cached_property
+    def stiffness_norm(self):
+        """No less than |K|_2: the largest sum of magnitudes in a row."""
+        B = abs(self.springs.B)
+        sums = np.abs(self.constants) * np.asarray(B.sum(axis=1)).ravel()
+        return float((B.T @ sums).max())
+
+    @cached_property
+    def rounding(self):
+        """How much rounding moves a residual, in units of the magnitudes that it is summed from.
+
+        As that of a lattice: sums over the springs at an unknown, and over the unknowns that these
+        couple it to.
+        """
+        met = int(np.bincount(self.springs.B.indices).max())
+        return (met * (1 + self.springs.columns.shape[1]) + 12) * EPSILON
+
+    # What damps, and what drives.
 
     @property
     def isotropic(self):
@@ -241,9 +364,21 @@ class Network(Elastic, Connected, Medium):
         return alike and all_ways
 
     @cached_property
-    def drags(self):
-        """The rate alpha of each unknown, None where there is no drag."""
-        return None if self.drag is None else np.repeat(self.drag[self.free], self.components)
+    def pushed(self):
+        """The push as a force on each unknown, None unless one drives."""
+        if self.push is None:
+            return None
+        forces = np.zeros((self.free_balls, self.components))
+        forces[:, : self.axes] = self.push[self.free]
+        return self.weights * forces.ravel()
+
+    def pushed_by(self, forces):
+        """Return as changes what a push on each free ball, along the drive, makes of it."""
+        push = np.zeros((len(self.held), self.axes))
+        push[self.free] = forces[:, None] * self.direction
+        return {"push": push, "held": np.where(self.held == FREE, FREE, AT_REST)}
+
+    # Where balls and contacts are.
 
     def sites(self, detectors, name="-detectors"):
         """Return ball numbers as an array (nd, 1).
@@ -295,7 +430,7 @@ class Network(Elastic, Connected, Medium):
         driven = np.flatnonzero(self.held == DRIVEN if self.push is None else self.push_sizes)
         if self.position is None or not len(driven):
             return np.full(len(sites), np.nan)
-        return nearest(self.position[sites[:, 0]], self.position[driven])
+        return closest(self.position[sites[:, 0]], self.position[driven])
 
     def displacements(self, field):
         """Return mass-weighted unknowns (..., unknowns) as displacements."""
@@ -315,17 +450,11 @@ class Network(Elastic, Connected, Medium):
         """The unit of mass over the mass of each free ball, shape (free balls,)."""
         return self.mass / self.masses[self.free]
 
-    @cached_property
-    def pushed(self):
-        """The push as a force on each unknown, None unless one drives."""
-        if self.push is None:
-            return None
-        forces = np.zeros((self.free_balls, self.components))
-        forces[:, : self.axes] = self.push[self.free]
-        return self.weights * forces.ravel()
+    @property
+    def existing(self):
+        """The numbers of the contacts: all."""
+        return np.arange(self.bonds)
 
-    def pushed_by(self, forces):
-        """Return as changes what a push on each free ball, along the drive, makes of it."""
-        push = np.zeros((len(self.held), self.axes))
-        push[self.free] = forces[:, None] * self.direction
-        return {"push": push, "held": np.where(self.held == FREE, FREE, AT_REST)}
+    def bond_places(self, bonds):
+        """Return axis, which is 0, and index of numbered contacts."""
+        return np.zeros_like(bonds), bonds[..., None]

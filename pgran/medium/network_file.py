@@ -14,16 +14,21 @@ import io
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
 
-from pgran.arguments import called_right
+from pgran.arguments import called_right, choice
 from pgran.errors import FileError, InputError
-from pgran.medium.bonds import AXES
+from pgran.medium.checks import KINDS
 from pgran.medium.springs import FREE
 from pgran.store import file as store
 from pgran.store.paths import check_seal, has_seal, open_regular, whole, writing
+from pgran.store.record import Result
+
+if TYPE_CHECKING:
+    from pgran.medium.network import Network
 
 FORMAT, FORMAT_VERSION = "pgran network", 1
 # Of each dataset: its type, units, and what it is.
@@ -45,11 +50,11 @@ DATASETS = {
     "loss": (float, "1", "loss factor eta of each contact, k (1 + i eta)"),
     "id": (int, "1", "numbers of the balls in the program that they come from"),
 }
-ATTRIBUTES = {
-    "displacement": str, "damped": str, "damping": float, "kmax": float, "median_mass": float,
-    "direction": np.ndarray, "power": float, "box": np.ndarray, "gravity": np.ndarray,
-    "damping_power": float, "damping_reference": float,
-}  # fmt: skip
+LISTS = ("direction", "box", "gravity")  # attributes that are more than one number
+ATTRIBUTES = (
+    "displacement", "damped", "damping", "kmax", "median_mass", "power", "damping_power",
+    "damping_reference", *LISTS,
+)  # fmt: skip
 
 
 def write_network(path, members, attributes, overwrite=False):
@@ -80,14 +85,13 @@ def write_network(path, members, attributes, overwrite=False):
 
 def parts_of(network):
     """Return the members and the attributes of a network, as `write_network` takes them."""
-    members = {name: getattr(network, name) for name in DATASETS if hasattr(network, name)}
+    members = {name: getattr(network, name, None) for name in DATASETS} | {"id": None}
     attributes = {name: getattr(network, name) for name in ATTRIBUTES}
-    attributes = {name: value for name, value in attributes.items() if value is not None}
-    if not network.damping_power:
-        del attributes["damping_power"]
+    attributes["damping_power"] = network.damping_power or None
     if network.displacement == "scalar":
-        del attributes["direction"]
-    return members | {"mass": network.masses}, attributes
+        attributes["direction"] = None
+    there = {name: value for name, value in attributes.items() if value is not None}
+    return members | {"mass": network.masses}, there
 
 
 def check_output(path, overwrite):
@@ -114,9 +118,10 @@ def members_of(file):
             file.refuse(f"network/{name}", "is missing")
     arrays = [name for name in datasets if name != "id"]
     values = {name: file.array(f"network/{name}", DATASETS[name][0]) for name in arrays}
-    for name, kind in ATTRIBUTES.items():
+    for name in ATTRIBUTES:
         if name in attributes:
-            values[name] = _plain(file, name, attributes[name], kind)
+            alone = np.shape(attributes[name]) == (1,) and name not in LISTS
+            values[name] = attributes[name][0] if alone else attributes[name]
     of_balls = [values[name] for name in ("held", "mass", "position") if name in values]
     counts = [len(array) for array in of_balls if array.ndim]
     if not counts:
@@ -150,21 +155,6 @@ def _check_names(file):
                 file.refuse(f"{group}/{name}", "is not known; others' data may be in other groups")
 
 
-def _plain(file, name, value, kind):
-    """Return an attribute as the type that it must have."""
-    if name == "direction" and isinstance(value, str) and value in tuple(AXES):
-        return value
-    number = np.asarray(value)
-    if kind is str and isinstance(value, str):
-        return value
-    if kind is float and number.shape in ((), (1,)) and number.dtype.kind in "fiu":
-        return float(number.reshape(()))
-    if kind is np.ndarray and number.ndim == 1 and number.dtype.kind in "fiu":
-        return number.astype(float)
-    called = {str: "text", float: "number", np.ndarray: "list of numbers"}[kind]
-    return file.refuse(f"network/{name}", f"must be a {called}")
-
-
 def read_network(path, **overrides):
     """Return the network in an HDF5 file: `read_network("packing.h5", damping=0.01)`.
 
@@ -172,36 +162,28 @@ def read_network(path, **overrides):
     what `pgran.Network` takes, instead of what the file says. Raises FileError if the file is
     damaged, lacks something or makes no network, InputError if the overrides make none.
     """
-    from pgran.medium.network import Network
-
     store.try_apart(path, "pgran.medium.network_file")
     with store.opened(path) as file:
         values = members_of(file)
-    if values["displacement"] == "scalar":
-        values.pop("direction", None)
-    elif isinstance(values.get("direction"), str):
-        values["direction"] = _unit_vector(path, values)
     try:
         with np.errstate(all="ignore"):  # of absurd numbers: what comes of them is checked
-            network = Network(**values)
+            network = _made(values)
     except InputError as error:
         raise FileError(f"{path}: {error}") from None
-    if overrides.get("displacement") == "scalar":
-        values.pop("direction", None)
-    return Network(**values | overrides) if overrides else network
+    return _made(values | overrides) if overrides else network
 
 
-def _unit_vector(path, values):
-    """Return the direction of the drive that is given by the name of an axis."""
-    wide = [values[name].shape for name in ("normal", "position") if name in values]
-    axis = AXES.index(values["direction"])
-    if not wide or len(wide[0]) != 2 or axis >= wide[0][1]:
-        raise FileError(f"{path}: /network/direction {AXES[axis]}: there is no such axis")
-    return np.eye(wide[0][1])[axis]
+def _made(values):
+    """Return the network of some values; if it is scalar, without a direction, of vectors."""
+    from pgran.medium.network import Network
+
+    choice("network: displacement", values["displacement"], KINDS)
+    unused = ("direction",) if values["displacement"] == "scalar" else ()
+    return Network(**{name: value for name, value in values.items() if name not in unused})
 
 
 @called_right
-def load(path):
+def load(path: "str | os.PathLike") -> "Result | Network":
     """Return the result in a file, `load(path).response.omega`, or the network.
 
     The structure of the file is checked; its checksum only where that costs nothing, in a small
@@ -218,6 +200,16 @@ def load(path):
     ------
     FileError
         If the file is neither, is damaged, or lacks what its records declare.
+
+    Examples
+    --------
+    >>> import h5py, pgran, tempfile
+    >>> path = f"{tempfile.mkdtemp()}/chain.h5"
+    >>> with h5py.File(path, "w") as file:
+    ...     file["network/bond"] = [[0, 1], [1, 2]]
+    ...     file["network/stiffness"], file["network/mass"] = [1.0, 2.0], [1.0, 1.0, 1.0]
+    >>> pgran.load(path)
+    Network(3 balls, 3 of them free, 2 contacts, scalar, beta 0.003, omega_mx=2)
     """
     open_regular(path, ".h5").close()
     if os.path.getsize(path) <= store.MODEST and has_seal(path):

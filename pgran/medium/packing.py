@@ -1,6 +1,6 @@
 """Packings: laws of contacts, periodic boxes, what hangs together, whether forces balance."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ def nearest_images(away, periods):
     return away - turns * np.where(finite, periods, 0.0), turns != 0
 
 
-@dataclass(frozen=True, eq=False)
-class Kept:
+class Kept(NamedTuple):
     """What of a packing can vibrate, and how many balls and contacts cannot, and why."""
 
     balls: np.ndarray  # which are kept

@@ -1,14 +1,10 @@
-"""What several scenes share: options and what must hold between them, and what these make."""
+"""The medium of a run: its options, what must hold between them, and what they make."""
 
 import dataclasses
 
 from pgran.errors import InputError, PgranError
-from pgran.medium.dissipation import OF_DAMPING
-from pgran.medium.lattice import Lattice
-from pgran.medium.law import DEFAULTS, HERTZ, LAWS, make_law
-from pgran.medium.redraw import REDRAWN, redrawn
-from pgran.medium.source import OF_SOURCE, with_source
-from pgran.medium.units import BETA
+from pgran.medium.base import ALONG, BETA
+from pgran.medium.law import GRAVITY, LAWS, PARAMETERS, SEED, STEPS, make_law, redrawn
 from pgran.run.agreement import on_root
 from pgran.run.options import FILE, FILES, INTEGER, INTEGERS, REAL, TEXT, Option, alternatives
 
@@ -23,25 +19,9 @@ OF_LATTICE = (
         "kmax; hertz, 3/2 c^(2/3) F^(1/3) with exponential forces F; file, of -bonds_file",
         choices=(*LAWS, "file"),
     ),
-    Option(
-        "bonds_kmin", REAL, DEFAULTS["kmin"], "smallest bond constant", "mass x frequency^2", low=0
-    ),
-    Option(
-        "bonds_kmax", REAL, DEFAULTS["kmax"],
-        "largest bond constant; of hertz and file that of omega_mx, by default the largest",
-        "mass x frequency^2", above=0
-    ),
-    Option(
-        "bonds_fraction", REAL, DEFAULTS["fraction"], "bimodal: part of the bonds that is kmax",
-        low=0, high=1
-    ),
-    Option("bonds_force", REAL, DEFAULTS["force"], "hertz: mean contact force", "force", above=0),
-    Option(
-        "bonds_gravity", REAL, 0.0,
-        "hertz: by how much the mean force grows with each ball above, along the last axis",
-        "force", low=0
-    ),
-    HERTZ,
+    *(PARAMETERS[name] for name in ("kmin", "kmax", "fraction", "force")),
+    GRAVITY,
+    PARAMETERS["hertz"],
     Option("bonds_seed", INTEGER, 1993, "which sample: seed of its bonds", low=0, high=2**63 - 1),
     Option("bonds_file", FILE, None, "of law file: HDF5 file with /lattice/stiffness_x ..."),
 )  # fmt: skip
@@ -62,9 +42,55 @@ OF_NETWORK = (
         choices=("keep", "remove")
     ),
 )  # fmt: skip
-LAW = ("bonds_law", "bonds_kmin", "bonds_kmax", "bonds_fraction", "bonds_force", "bonds_hertz")
-LATTICE = (*OF_LATTICE, *OF_NETWORK, *OF_DAMPING, *OF_SOURCE, *REDRAWN)
+OF_DAMPING = (
+    Option(
+        "damping_power", REAL, None,
+        "p of dashpots beta (k / k_ref)^p, k_ref the mean k: 0, all alike; 1, in proportion to "
+        "stiffness; 0.5, as usual in simulations of contacts; by default the file's, or 0",
+    ),
+    Option(
+        "damping_mass", REAL, None, "alpha of a drag -alpha m v; by default the file's, or 0",
+        "angular", low=0
+    ),
+    Option(
+        "damping_loss", REAL, None,
+        "eta of springs k (1 + i eta), which lose the same part of the energy in a cycle at all "
+        "frequencies; by default the file's, or 0", low=0, high=1e6
+    ),
+    Option(
+        "damping_part", TEXT, None,
+        "of networks with vectors: dashpots act on all of the relative velocity at a contact, or "
+        "on its normal part; by default as the file says", choices=("all", "normal")
+    ),
+)  # fmt: skip
+OF_SOURCE = (
+    Option(
+        "drive_part", TEXT, None,
+        "which part drives: places of the wall, or held balls, by a condition such as 'y>=5 and "
+        "y<15'; all else is at rest"
+    ),
+    Option(
+        "drive_direction", TEXT, "drive", f"of networks with vectors: how held balls move: {ALONG}"
+    ),
+    Option(
+        "drive_balls", INTEGERS, None,
+        "a force on these balls drives instead: indices from 0, as of -detectors; in all it has "
+        "the size kmax, and amplitudes are in units of that force over kmax",
+        low=0, high=2**63 - 1
+    ),
+    Option("drive_force", TEXT, "drive", f"of networks with vectors: how it acts: {ALONG}"),
+)  # fmt: skip
+LATTICE = (*OF_LATTICE, *OF_NETWORK, *OF_DAMPING, *OF_SOURCE, STEPS, SEED)
+LAW = ("bonds_law", *(option.name for option in PARAMETERS.values()))
 OWN_KMAX = ("hertz", "file")  # laws of bonds whose largest constant is not known beforehand
+# What is of networks alone, and what to say of it for a lattice.
+OF_NETWORKS = {
+    "network_damping": " belongs to -network_file; of a lattice -lattice_damping",
+    "damping_part": " belongs to -network_file: bonds of a lattice have one part",
+    "network_rattlers": " belongs to -network_file: a lattice has none",
+    "detectors_component": ": balls of a lattice have one displacement",
+    "detectors_at": ": balls of a lattice are named by their indices, -detectors",
+}
 
 
 def check_lattice(values, given, draws=False, several=False):
@@ -73,27 +99,25 @@ def check_lattice(values, given, draws=False, several=False):
     `draws` says that the experiment draws constants itself, of networks by the law, too, `several`
     that there may be more than one network.
     """
-    law = LAW if draws else ()
-    if values["network_file"] is not None:  # no word about a lattice makes one of it
+    network = values["network_file"]
+    if network is not None:  # no word about a lattice makes one of it
+        law = LAW if draws else ()
         named = [option.name for option in OF_LATTICE if option.name not in law]
         alternatives(("network_file",), named, values, given, whole=())
-    draws = draws or values["bonds_redrawn"] > 0
+        network = values["network_file"]
     if values.get("detectors_at") is not None:
         alternatives(("detectors_at",), ("detectors",), values, given)
-    if values["network_file"] is not None:
-        if len(values["network_file"]) > 1 and not several:
-            raise InputError("-network_file: several networks are samples of -scene ensemble")
-        return
-    if values["network_damping"] is not None:
-        raise InputError("-network_damping belongs to -network_file; of a lattice -lattice_damping")
-    if values["damping_part"] is not None:
-        raise InputError("-damping_part belongs to -network_file: bonds of a lattice have one part")
-    if values["network_rattlers"] is not None:
-        raise InputError("-network_rattlers belongs to -network_file: a lattice has none")
-    if values.get("detectors_component") not in ("drive", None):
-        raise InputError("-detectors_component: balls of a lattice have one displacement")
-    if values.get("detectors_at") is not None:
-        raise InputError("-detectors_at: balls of a lattice are named by their indices, -detectors")
+    if network is None:
+        _check_grid(values, given, draws or values["bonds_redrawn"] > 0)
+    elif len(network) > 1 and not several:
+        raise InputError("-network_file: several networks are samples of -scene ensemble")
+
+
+def _check_grid(values, given, draws):
+    """Raise where options of a lattice contradict each other; unset what a file says instead."""
+    for name, why in OF_NETWORKS.items():
+        if values.get(name) not in (None, "drive"):
+            raise InputError(f"-{name}{why}")
     if len(values["lattice_shape"]) > 3:
         raise InputError("-lattice_shape: a lattice has 1 to 3 axes")
     if values["bonds_gravity"] and (draws or values["bonds_law"] != "hertz"):
@@ -104,7 +128,9 @@ def check_lattice(values, given, draws=False, several=False):
         raise InputError("-bonds_redrawn: -bonds_law file is no law to draw new constants from")
     if from_file != (values["bonds_file"] is not None):
         raise InputError("-bonds_file and -bonds_law file belong together: give both or neither")
-    if values["bonds_law"] in OWN_KMAX:  # a kmax from a source before the law's is another law's
+    if values["bonds_law"] in OWN_KMAX:
+        # a kmax set by a weaker source than the law, as by the file if the law is on the command
+        # line, belonged to the other law
         kmax = given.get("bonds_kmax")
         if kmax is None or kmax.rank < given["bonds_law"].rank:
             values["bonds_kmax"] = None
@@ -125,7 +151,11 @@ def make_lattice(options, world):
     if options.bonds_redrawn:
         law = options.bonds_law and make_law(options)
         medium = redrawn(medium, options.bonds_redrawn, options.bonds_redrawn_seed, law)
-    medium = with_source(medium, *(getattr(options, option.name) for option in OF_SOURCE))
+    source = {option: getattr(options, option.name) for option in OF_SOURCE}
+    if any(value != option.default for option, value in source.items()):
+        from pgran.medium.source import with_source
+
+        medium = with_source(medium, *source.values())
     if len(set(world.allgather(medium.bonds_sha256))) > 1:
         raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
     return medium
@@ -133,19 +163,18 @@ def make_lattice(options, world):
 
 def _network(options, world):
     """Return the network of a file, changed as the options ask. Collective."""
+    from pgran.medium.graph import with_rattlers_at_rest
     from pgran.medium.network_file import read_network
 
     network = on_root(world, lambda: read_network(options.network_file[0]))
     if options.network_rattlers == "remove":
-        from pgran.medium.graph import with_rattlers_at_rest
-
         network = with_rattlers_at_rest(network)
-    changes = {"component": getattr(options, "detectors_component", None) or "drive"}
-    if network.displacement == "scalar":
-        changes["component"] = "drive"
+    component = getattr(options, "detectors_component", None)
+    if network.displacement == "scalar" or component is None:
+        component = "drive"
     asked = {"damping": options.network_damping, "damped": options.damping_part} | _laws(options)
-    changes |= {name: value for name, value in asked.items() if value is not None}
-    return dataclasses.replace(network, **changes)
+    asked = {name: value for name, value in asked.items() if value is not None}
+    return dataclasses.replace(network, component=component, **asked)
 
 
 def _laws(options):
@@ -156,6 +185,8 @@ def _laws(options):
 
 def _lattice(options, world):
     """Return the lattice of a bonds file or of a law. Collective."""
+    from pgran.medium.lattice import Lattice
+
     facts = {name: value or 0.0 for name, value in _laws(options).items()}
     facts |= {"mass": options.lattice_mass, "damping": options.lattice_damping}
     facts |= {"free": options.lattice_free or ()}

@@ -1,4 +1,4 @@
-"""What drives a medium: a wall, a part of it, or a push, and on which sides a lattice has walls.
+"""What drives a medium: a wall, a part of it, or a push.
 
 A source is w, how far it stretches each spring, and p, a force on each unknown:
 
@@ -9,42 +9,26 @@ size kmax moves balls by some spacings, as a wall does that moves by 1: amplitud
 F / kmax.
 """
 
-import contextlib
 import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgran.arguments import called_right, choice, shown
+from pgran.arguments import called_right
 from pgran.errors import InputError
-from pgran.medium.bonds import AXES
+from pgran.medium.base import AXES, Medium, is_drive
 from pgran.medium.conditions import choose
 from pgran.medium.springs import AT_REST, DRIVEN
-from pgran.run.numbers import numbers
-from pgran.run.options import INTEGERS, TEXT, Option
-from pgran.store.estimate import counted
 
-ALONG = "the direction in the file (drive), x, y, z, or components as 1,0,1"
-OF_SOURCE = (
-    Option(
-        "drive_part", TEXT, None,
-        "which part drives: places of the wall, or held balls, by a condition such as 'y>=5 and "
-        "y<15'; all else is at rest"
-    ),
-    Option(
-        "drive_direction", TEXT, "drive", f"of networks with vectors: how held balls move: {ALONG}"
-    ),
-    Option(
-        "drive_balls", INTEGERS, None,
-        "a force on these balls drives instead: indices from 0, as of -detectors; in all it has "
-        "the size kmax, and amplitudes are in units of that force over kmax",
-        low=0, high=2**63 - 1
-    ),
-    Option("drive_force", TEXT, "drive", f"of networks with vectors: how it acts: {ALONG}"),
-)  # fmt: skip
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 
 @called_right
-def with_source(medium, part=None, direction="drive", balls=None, force="drive"):
+def with_source(
+    medium: Medium, part: str | None = None, direction: "str | ArrayLike" = "drive",
+    balls: "ArrayLike | None" = None, force: "str | ArrayLike" = "drive",
+) -> Medium:  # fmt: skip
     """Return a medium with another drive: the options `-drive_part` and so on.
 
     Parameters
@@ -69,6 +53,13 @@ def with_source(medium, part=None, direction="drive", balls=None, force="drive")
     ------
     InputError
         If there are no such balls or places, or the choices contradict each other.
+
+    Examples
+    --------
+    >>> import pgran
+    >>> lattice = pgran.Lattice.random((6, 5), seed=1)
+    >>> pgran.with_source(lattice, part="y>=2").wall
+    array([0., 0., 1., 1., 1.])
     """
     if part is not None and balls is not None:
         raise InputError("-drive_part and -drive_balls: give one, a wall or a force drives")
@@ -76,7 +67,7 @@ def with_source(medium, part=None, direction="drive", balls=None, force="drive")
         raise InputError("-drive_force: points the force on -drive_balls; give them too")
     for name, chosen in (("drive_direction", direction), ("drive_force", force)):
         if not is_drive(chosen):
-            medium = dataclasses.replace(medium, direction=along(medium, chosen, name))
+            medium = dataclasses.replace(medium, direction=medium.along(chosen, name))
     if part is not None:
         medium = dataclasses.replace(medium, **_part(medium, part))
     if balls is not None:
@@ -84,34 +75,6 @@ def with_source(medium, part=None, direction="drive", balls=None, force="drive")
         shares = np.bincount(places, minlength=medium.free_balls) / len(places)
         medium = dataclasses.replace(medium, **medium.pushed_by(medium.kmax * shares))
     return medium
-
-
-def is_drive(direction):
-    """Return whether a direction is that of the drive."""
-    return isinstance(direction, str) and direction == "drive"
-
-
-def along(medium, direction, name):
-    """Return the direction that is asked for, of length 1; (1,) where balls have one displacement.
-
-    Raises InputError, which calls it by its `name`, if there is no such direction.
-    """
-    own = getattr(medium, "direction", np.ones(1))
-    if is_drive(direction):
-        return own
-    if len(own) == 1:
-        raise InputError(f"-{name}: balls of this medium have one displacement")
-    if isinstance(direction, str):
-        components = [float(direction == axis) for axis in AXES[: len(own)]]
-        with contextlib.suppress(ValueError):
-            components = [float(word) for word in direction.split(",")]
-    else:
-        components = numbers(f"-{name}", direction)
-    size = np.linalg.norm(components)
-    if np.shape(components) != own.shape or not 0 < size < np.inf:
-        possible = f"drive, {', '.join(AXES[: len(own)])}, or {len(own)} components"
-        raise InputError(f"-{name}: choose {possible}, not {shown(direction)}")
-    return np.asarray(components) / size
 
 
 def _part(medium, condition):
@@ -136,41 +99,3 @@ def _part(medium, condition):
     kinds = medium.held.copy()
     kinds[held] = np.where(chosen, DRIVEN, AT_REST)
     return {"held": kinds}
-
-
-def checked_sides(sides, axes):
-    """Return sides such as `y+`, in order; raise InputError if a lattice has none of that name."""
-    sides = tuple(sides.split(",")) if isinstance(sides, str) else tuple(sides)
-    possible = [f"{axis}{end}" for axis in AXES[:axes] for end in "-+"]
-    for side in sides:
-        choice("-lattice_free", side, possible)
-    return tuple(side for side in possible if side in sides)
-
-
-def checked_drive(name, value, shape):
-    """Return motions or forces that drive, as a copy that nobody can change, or None."""
-    if value is None:
-        return None
-    array = np.array(numbers(f"lattice: {name}", value))
-    if array.shape != shape or not np.all(np.isfinite(array)) or not np.any(array):
-        raise InputError(
-            f"lattice: {name}: finite numbers of the shape {shape} are needed, not all zero"
-        )
-    array.flags.writeable = False
-    return array
-
-
-def nearest(places, driving):
-    """Return the distance of each place (n, d) from the nearest that drives, (m, d)."""
-    away = np.asarray(places)[:, None] - driving
-    return np.sqrt(np.sum(away**2, axis=2)).min(axis=1)
-
-
-def in_words(medium):
-    """Yield in words what drives a medium, if it is no whole wall, and which walls are missing."""
-    if medium.push is not None:
-        yield f"driven by a force on {counted(np.count_nonzero(medium.push_sizes), 'ball')}"
-    elif medium.is_grid and medium.wall is not None:
-        yield f"driven at {np.count_nonzero(medium.wall)} of {medium.wall.size} places of a wall"
-    if medium.is_grid and medium.free:
-        yield f"no wall at {', '.join(medium.free)}"

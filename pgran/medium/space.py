@@ -4,8 +4,7 @@ import numpy as np
 
 from pgran.medium.bonds import bond_ends
 from pgran.medium.dissipation import FIELDS
-from pgran.medium.network import Network
-from pgran.medium.record import NetworkRecord
+from pgran.medium.network import Network, NetworkRecord
 
 
 def in_space(vectors):

@@ -19,11 +19,10 @@ import numpy as np
 from pgran.arguments import called_right
 from pgran.errors import InputError, PgranError
 from pgran.medium import base
-from pgran.medium.bonds import AXES
-from pgran.medium.dissection import dissected
-from pgran.medium.graph import SYMMETRIC, without_rattlers
+from pgran.medium.bonds import AXES, dissected
+from pgran.medium.graph import without_rattlers
 from pgran.medium.packing import nearest_images
-from pgran.medium.springs import FREE
+from pgran.medium.springs import FREE, SYMMETRIC
 
 SMALLEST = 1e-14  # of K's largest entry: a smaller pivot is rounding
 UNBALANCED = 1e-8  # of the largest force: what a solution may leave
@@ -44,7 +43,7 @@ class Waves(NamedTuple):
 
 
 class Sound(NamedTuple):
-    """What `sound` returns: speeds, and the medium that they are of.
+    """Speeds of long waves, and the medium that they are of.
 
     Scalar displacements have one kind of waves, `longitudinal`; `transverse` is None then.
     """
@@ -85,12 +84,11 @@ class Sound(NamedTuple):
 
 
 @called_right
-def sound(medium):
+def sound(medium: base.Medium) -> Sound:
     """Return the speeds of long waves and the elastic moduli of a medium, by statics.
 
     Rattlers of a network are left out. A lattice is pulled between walls with its sides free, along
-    the axes that have two walls. Not parallel: each rank that calls it computes the
-    same.
+    the axes that have two walls. Not parallel: each rank that calls it computes the same.
 
     Parameters
     ----------
@@ -106,6 +104,14 @@ def sound(medium):
     ------
     InputError
         If a network does not know its box or has walls, balls float, or no long waves run.
+
+    Examples
+    --------
+    >>> import pgran
+    >>> lattice = pgran.Lattice.random((6, 5), law="constant")
+    >>> found = pgran.sound(lattice).longitudinal
+    >>> round(found.speed, 3), round(found.affine, 3)
+    (0.5, 0.5)
     """
     medium = base.medium(medium)
     return _of_lattice(medium) if medium.is_grid else _of_network(medium)

@@ -8,10 +8,7 @@ from pgran.driven.accurate import below_relative_accuracy, is_accurate
 from pgran.driven.drive import STEADY, reached_accuracy
 from pgran.driven.sweep import PatternSweep
 from pgran.experiments.green.record import Green
-from pgran.medium.base import medium
-from pgran.medium.rounding import EPSILON
-from pgran.medium.source import ALONG, along
-from pgran.medium.units import warn_above_modes
+from pgran.medium.base import ALONG, EPSILON, medium, warn_above_modes
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import (
     PROGRESS,
@@ -105,7 +102,7 @@ class GreenSweep(PatternSweep):
         row += [("own", complex, (own,)), ("own_bound", float, (own,))]
         check_memory("green_sources", BYTES * lattice.size * (own + heard))
         super().__init__(lattice, omegas, sources, row, choices)
-        self.direction = along(lattice, direction, "green_direction")
+        self.direction = lattice.along(direction, "green_direction")
         self.pushed, self.heard = self._forces(sources), self._forces(self.receivers)
         if not np.array_equal(self.sites, self.receivers):  # what is pushed is heard, too
             self.heard = np.concatenate([self.heard, self.pushed])

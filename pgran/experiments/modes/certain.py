@@ -29,9 +29,9 @@ import numpy as np
 
 from pgran.driven.inertia import RealFactors
 from pgran.driven.singular import doubled, least_estimate, proven_least
-from pgran.medium.graph import SYMMETRIC
-from pgran.medium.ordering import elimination_order
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON
+from pgran.medium.graph import elimination_order
+from pgran.medium.springs import SYMMETRIC
 
 MARGIN = 1.01  # covers the rounding of the bounds themselves
 NEAR = 1e-8  # of |C| and |K|: how sharply eigenvalues are counted

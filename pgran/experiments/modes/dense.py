@@ -21,7 +21,7 @@ import numpy as np
 
 from pgran.errors import InputError, PgranError
 from pgran.experiments.modes.shapes import with_fixed_sign
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON
 from pgran.medium.springs import stiffness_matrix
 from pgran.run.machine import check_memory, total_memory
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.experiments.modes.record import Density
-from pgran.medium.base import medium
-from pgran.medium.units import check_frequency
+from pgran.medium.base import check_frequency, medium
 from pgran.run.experiment import PROGRESS, Caution, in_parallel
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, Option, alternatives

@@ -12,9 +12,7 @@ from pgran.experiments.modes import dense
 from pgran.experiments.modes.record import Modes
 from pgran.experiments.modes.resonances import Resonances
 from pgran.experiments.modes.shapes import RESIDUAL, least_frequency, participation
-from pgran.medium.base import medium
-from pgran.medium.rounding import EPSILON
-from pgran.medium.units import check_frequency, warn_above_modes
+from pgran.medium.base import EPSILON, check_frequency, medium, warn_above_modes
 from pgran.run.agreement import on_root
 from pgran.run.experiment import PROGRESS, Asked, in_parallel, option, window
 from pgran.run.machine import check_memory

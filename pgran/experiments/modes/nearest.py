@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgran.driven.inertia import RealFactors, real_matrix
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON
 from pgran.run.petsc import PETSc
 
 SPARE = 4  # modes that are searched for beyond those that are wanted

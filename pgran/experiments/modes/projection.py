@@ -10,8 +10,7 @@ from pgran.errors import InputError
 from pgran.experiments.modes.find import SITES, find_modes
 from pgran.experiments.modes.record import Projection
 from pgran.experiments.modes.scene import certificate, check_modes
-from pgran.medium.base import medium
-from pgran.medium.units import check_frequency
+from pgran.medium.base import check_frequency, medium
 from pgran.run.experiment import PROGRESS, Scene, call, in_parallel, options_of
 from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, driving_frequencies
 from pgran.run.task import carry_out

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from pgran.medium.units import einstein_frequency
+from pgran.medium.base import einstein_frequency
 
 RESIDUAL = 1e-12  # of |K|: what a mode must meet
 # A frequency smaller than this part of what the stiffest bonds make is that of a mode at rest, but

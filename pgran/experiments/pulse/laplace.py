@@ -21,7 +21,7 @@ import numpy as np
 
 from pgran.driven.accurate import Limits
 from pgran.driven.sweep import FrequencySweep
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON
 
 SIGMA_TIME = 16.0  # sigma times the time wanted
 SHORTEST_PERIOD = 1.2  # the period, in units of the time wanted

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from pgran.experiments.pulse.record import Signals
-from pgran.medium.rounding import SMALLEST_NORMAL
+from pgran.medium.base import SMALLEST_NORMAL
 from pgran.run.machine import check_memory
 from pgran.store.estimate import Estimate
 

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON
 
 SHAPES = ("gauss", "ricker", "burst", "step")
 START = 6.0  # widths from the time 0 to the middle of a pulse: before, it is below 2e-8

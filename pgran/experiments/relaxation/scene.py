@@ -11,10 +11,8 @@ from pgran.driven.accurate import below_relative_accuracy
 from pgran.errors import InputError
 from pgran.experiments.relaxation import fluctuations
 from pgran.experiments.relaxation.record import Relaxation
-from pgran.medium.base import medium
-from pgran.medium.law import TRIED, check_law, make_law
-from pgran.medium.redraw import Redraw
-from pgran.medium.units import check_frequency
+from pgran.medium.base import check_frequency, medium
+from pgran.medium.law import TRIED, Redraw, check_law, make_law
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import PROGRESS, Asked, Scene, call, in_parallel, option, options_of
 from pgran.run.machine import check_memory

@@ -38,7 +38,7 @@ from pgran.driven.columns import Columns
 from pgran.driven.deformation import Deformation, amplitudes, march
 from pgran.driven.owner import Owner
 from pgran.errors import InputError
-from pgran.medium.rounding import SMALLEST_NORMAL
+from pgran.medium.base import SMALLEST_NORMAL
 
 # A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
 # cheap, and errors are a hundredth of their bounds or less, which keeps them below 1e-10.
@@ -139,7 +139,7 @@ class Windows(Owner):
                 "-relax_method window: needs a factorization (-steady_pc_type lu); krylov not"
             )
         self.exchange, self.solver, self.s = exchange, solver, s
-        self._columns, self._rows = Columns(solver), self.operators.lattice.rows
+        self._columns, self._rows = Columns(solver), self.operators.lattice.row_norms
 
     def follow(self, state, changes):
         """Return the amplitudes after each change, shape (n, nd), and their bounds. Collective.

@@ -33,7 +33,7 @@ from pgran.experiments.response.models import (
     tall_qr,
 )
 from pgran.experiments.response.record import model_dtype
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON
 from pgran.run.agreement import met_by_all
 from pgran.run.petsc import PETSc
 

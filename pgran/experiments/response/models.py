@@ -35,7 +35,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgran.driven.accurate import Limits
-from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 
 BLOCK = 400  # rows that are factored at once, and stay in the cache
 SUMMED = 256  # rows of a product that are summed up on their own

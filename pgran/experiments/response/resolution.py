@@ -9,7 +9,7 @@ are too far from the real axis. NumPy only.
 
 import numpy as np
 
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON
 
 PLACES = 0.25, 0.5, 0.75  # between two neighbours
 SHARE = 0.8  # aim at this part of the deviation allowed, which the cubic only estimates

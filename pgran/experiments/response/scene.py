@@ -13,8 +13,7 @@ from pgran.driven.sweep import FrequencySweep
 from pgran.experiments.response.curve import choose_method, solve_curve
 from pgran.experiments.response.record import LINES, Response
 from pgran.experiments.response.resolution import line_errors
-from pgran.medium.base import medium
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON, medium
 from pgran.run.agreement import agreeing, on_root
 from pgran.run.experiment import (
     PROGRESS,

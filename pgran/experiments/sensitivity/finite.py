@@ -24,7 +24,7 @@ NumPy only.
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON
 
 
 def changed_amplitudes(before, stretched, flexibility, delta):

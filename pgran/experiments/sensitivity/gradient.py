@@ -18,7 +18,7 @@ import numpy as np
 
 from pgran.driven.sweep import FrequencySweep
 from pgran.experiments.sensitivity.record import Sensitivity
-from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 from pgran.store.record import columns_of, row_of
 
 MISSED = 0  # the reason of a frequency whose results miss the accuracy asked for

@@ -21,10 +21,10 @@ from pgran.errors import InputError, PgranError
 from pgran.experiments.sensitivity.gradient import fields_of, systems_of
 from pgran.experiments.sensitivity.radii import Radii, with_vectors
 from pgran.experiments.sensitivity.record import OUTCOMES
+from pgran.medium.base import EPSILON
 from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network
 from pgran.medium.packing import total_forces
-from pgran.medium.rounding import EPSILON
 from pgran.medium.springs import AT_REST, FREE, norm_of
 from pgran.run.agreement import on_root
 from pgran.run.task import Task

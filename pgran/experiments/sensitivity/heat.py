@@ -9,7 +9,7 @@ from pgran.errors import InputError
 from pgran.experiments.sensitivity import finite
 from pgran.experiments.sensitivity.gradient import MISSED, AdjointSweep, fields_of, systems_of
 from pgran.experiments.sensitivity.record import OUTCOMES, Heat
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON
 from pgran.run.experiment import Caution
 from pgran.store.estimate import counted
 from pgran.store.record import ball_names, columns_of

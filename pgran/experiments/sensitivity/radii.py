@@ -35,7 +35,7 @@ import dataclasses
 import numpy as np
 
 from pgran.balance.equilibrium import factored
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import EPSILON
 from pgran.medium.springs import DRIVEN, differences, sparse_rows, stiffness_matrix
 
 COLUMNS = 64  # balls whose growth is solved for at a time

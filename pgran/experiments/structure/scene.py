@@ -26,13 +26,10 @@ from pgran.driven.drive import STEADY, UNSTABLE, is_unstable
 from pgran.driven.sweep import PatternSweep
 from pgran.errors import InputError
 from pgran.experiments.structure.record import Structure
-from pgran.medium.base import medium
-from pgran.medium.bonds import AXES
-from pgran.medium.record import record_of
-from pgran.medium.rounding import EPSILON
+from pgran.medium.base import AXES, EPSILON, medium, record_of, warn_above_modes
+from pgran.medium.contacts import tangents
 from pgran.medium.space import as_network
-from pgran.medium.springs import FREE, tangents
-from pgran.medium.units import warn_above_modes
+from pgran.medium.springs import FREE
 from pgran.run.agreement import agreeing, on_root
 from pgran.run.experiment import (
     PROGRESS,
