@@ -6,8 +6,10 @@ import pickle
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from mpi4py import MPI
 from samples import steady
+from scipy.sparse.linalg import splu
 
 from pgran.driven import certify
 from pgran.driven.certify import smallest_damping
@@ -18,6 +20,7 @@ from pgran.experiments.modes.scene import find_modes
 from pgran.medium import crystals as makers
 from pgran.medium import graph as graphs
 from pgran.medium.network import Network
+from pgran.medium.springs import SYMMETRIC
 from pgran.run.petsc import PETSc
 
 
@@ -247,3 +250,45 @@ def test_the_order_that_mumps_takes(world, work, options, expected, monkeypatch,
             assert solver.factor.getMumpsInfog(7) == expected
         solver.solve(0.4j)
         assert PETSc.Options("steady_").hasName("mat_mumps_icntl_7") == bool(options)
+
+
+# The order of elimination
+
+
+def patterns():
+    """Sparse patterns with a diagonal: of one unknown, of parts apart, random and dense ones."""
+    yield sp.identity(1, format="csr")
+    yield sp.identity(7, format="csr")
+    yield sp.csr_matrix(np.ones((9, 9)))
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        size = int(rng.integers(2, 300))
+        i, j = rng.integers(0, size, (2, rng.integers(0, 4 * size)))
+        half = sp.coo_matrix((np.ones(len(i)), (i, j)), (size, size)).tocsr()
+        yield (half + half.T + sp.identity(size)).tocsr()
+
+
+def superlu(pattern, order, method):
+    """SuperLU's factors of a definite matrix of a pattern, numbered anew."""
+    matrix = pattern[order][:, order].tocsc()
+    matrix.data[:] = -1.0
+    matrix.setdiag(1.0 + matrix.shape[0])
+    matrix.sort_indices()
+    return splu(matrix, method, **SYMMETRIC)
+
+
+@pytest.mark.parametrize("has_amd", [True, False])
+def test_postordered_and_as_sparse_as_minimum_degree(has_amd, monkeypatch):
+    """Where PETSc knows the order and where it does not."""
+    if not has_amd:
+        monkeypatch.setattr(graphs, "MINIMUM_DEGREE", "none_such")
+    filled, expected = 0, 0
+    for pattern in patterns():
+        order = graphs.elimination_order(pattern)
+        numbers = np.arange(pattern.shape[0])
+        assert sorted(order) == numbers.tolist()
+        own = superlu(pattern, order, "NATURAL")
+        np.testing.assert_array_equal(own.perm_c, numbers)
+        filled += own.L.nnz
+        expected += superlu(pattern, numbers, "MMD_AT_PLUS_A").L.nnz
+    assert filled <= 1.1 * expected

@@ -22,6 +22,7 @@ DISCS = Network(
     [[0, 1], [1, 2], [0, 2]], np.ones(3), [1, 0, 2], position=[[0, 0], [1, 0], [0.5, 0.8]],
     displacement="vector",
 )  # fmt: skip
+BONDS = random_lattice((3, 3))
 
 
 def test_a_part_of_a_wall_by_the_closed_series(alone):
@@ -102,6 +103,8 @@ def test_gravity_makes_contacts_stiffer_with_depth():
     x, y = ((b / a) ** 3 for a, b in zip(plain.stiffness, deep.stiffness, strict=True))
     assert np.allclose(x, 1 + 0.25 * (3.5 - np.arange(4)))
     assert np.allclose(y, 1 + 0.25 * (4.0 - np.arange(5)))
+    with pytest.raises(InputError, match="bonds_law hertz only"):
+        Lattice.random((3, 3), gravity=1.0)
 
 
 def test_parts_and_directions_of_held_balls():
@@ -114,51 +117,35 @@ def test_parts_and_directions_of_held_balls():
     assert with_source(random_lattice((6, 5)), part="y>=1 and y<3").wall.tolist() == [0, 1, 1, 0, 0]
 
 
-@pytest.mark.parametrize(
-    ("medium", "source", "said"),
-    [
-        (DISCS, {"part": "x<1", "balls": [1]}, "give one, a wall or a force drives"),
-        (DISCS, {"force": "x"}, "-drive_force: points the force on -drive_balls"),
-        (DISCS, {"part": "q<1"}, "there is no q along what is held; coordinates are: x, y"),
-        (DISCS, {"part": "x>9"}, "-drive_part: 'x>9' chooses no ball"),
-        (CHAIN, {"balls": [0]}, "drive_balls: ball 0 is held"),
-        (CHAIN, {"direction": (0, 1)}, "-drive_direction: balls of this medium have one displ"),
-        (DISCS, {"direction": "z"}, "-drive_direction: choose drive, x, y, or 2 components"),
-        (random_lattice((3, 3)), {"balls": (3, 3)}, "drive_balls: ball .3, 3. is outside"),
-    ],
-)
-def test_impossible_sources_are_refused(medium, source, said):
-    """In a line that says what is wrong."""
-    with pytest.raises(InputError, match=said):
-        with_source(medium, **source)
+FREE = ("x-", "x+", "y-", "y+")
+ON_HELD, ONE = [[1.0, 0]] * 3, [[0, 0], [1, 0], [0, 0]]
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("medium", "source", "change", "said"),
     [
-        ({"free": ("w+",)}, "-lattice_free: 'w.' is none of x-, x., y-, y."),
-        ({"free": ("x+",)}, "x. is the wall that drives"),
-        ({"free": ("x-", "x+", "y-", "y+")}, "without any wall the lattice floats"),
-        ({"wall": [1, 2]}, "lattice: wall: finite numbers of the shape"),
-        ({"wall": [1, 0, 0], "push": np.ones((3, 3))}, "either a wall moves or a push drives"),
+        (DISCS, {"part": "x<1", "balls": [1]}, {}, "give one, a wall or a force drives"),
+        (DISCS, {"force": "x"}, {}, "-drive_force: points the force on -drive_balls"),
+        (DISCS, {"part": "q<1"}, {}, "there is no q along what is held; coordinates are: x, y"),
+        (DISCS, {"part": "x>9"}, {}, "-drive_part: 'x>9' chooses no ball"),
+        (CHAIN, {"balls": [0]}, {}, "drive_balls: ball 0 is held"),
+        (CHAIN, {"direction": (0, 1)}, {}, "-drive_direction: balls of this medium have one displ"),
+        (DISCS, {"direction": "z"}, {}, "-drive_direction: choose drive, x, y, or 2 components"),
+        (BONDS, {"balls": (3, 3)}, {}, "drive_balls: ball .3, 3. is outside"),
+        (BONDS, {}, {"free": ("w+",)}, "-lattice_free: 'w.' is none of x-, x., y-, y."),
+        (BONDS, {}, {"free": ("x+",)}, "x. is the wall that drives"),
+        (BONDS, {}, {"free": FREE}, "without any wall the lattice floats"),
+        (BONDS, {}, {"wall": [1, 2]}, "lattice: wall: finite numbers of the shape"),
+        (BONDS, {}, {"wall": [1, 0, 0], "push": np.ones((3, 3))}, "either a wall moves or a push"),
+        (DISCS, {}, {"push": ON_HELD}, "forces on free balls"),
+        (DISCS, {}, {"push": ONE}, "either held balls are driven"),
+        (DISCS, {}, {"held": [1, 0, 1]}, "no ball is driven"),
     ],
 )
-def test_impossible_lattices_are_refused(change, said):
-    """Where they are made, or where they are to be driven."""
+def test_impossible_sources_are_refused(medium, source, change, said):
+    """In a line that says what is wrong, when they are made or are to drive."""
     with pytest.raises(InputError, match=said):
-        dataclasses.replace(random_lattice((3, 3)), **change).check_driven()
-    with pytest.raises(InputError, match="bonds_law hertz only"):
-        Lattice.random((3, 3), gravity=1.0)
-
-
-def test_impossible_pushes_are_refused():
-    """On held balls, or beside driven ones."""
-    one = [[0, 0], [1, 0], [0, 0]]
-    for push, said in (([[1.0, 0]] * 3, "forces on free balls"), (one, "either")):
-        with pytest.raises(InputError, match=said):
-            dataclasses.replace(DISCS, push=push)
-    with pytest.raises(InputError, match="no ball is driven"):
-        dataclasses.replace(DISCS, held=[1, 0, 1]).check_driven()
+        dataclasses.replace(with_source(medium, **source), **change).check_driven()
 
 
 def test_ranks_that_share_a_pushed_lattice_agree(comm, alone):
