@@ -89,10 +89,7 @@ class Medium(Distinct):
             yield f"no wall at {', '.join(self.free)}"
 
     def along(self, direction, name):
-        """Return a direction of length 1, of the drive for `drive`; (1,) of scalar displacements.
-
-        Raises InputError, which calls it by its `name`, if there is no such direction.
-        """
+        """Return a direction of length 1, that of the drive for `drive`; raise as `unit_vector`."""
         own = getattr(self, "direction", np.ones(1))
         if is_drive(direction):
             return own
@@ -123,7 +120,7 @@ class Medium(Distinct):
     def in_own_time(self):
         """Return the same medium with its largest constant near its mass, and the unit of s.
 
-        For what solves for s itself: powers of s have one size then, whatever time is measured in.
+        So powers of s have one size, where s itself is solved for, in any unit of time.
         """
         unit = 2.0 ** (math.frexp(einstein_frequency(self.axes, self.stiffest, self.mass))[1] - 1)
         return self._in_units(1.0, unit), unit
@@ -170,10 +167,9 @@ def closest(places, others):
 
 
 def unit_vector(name, direction, axes, others=""):
-    """Return a direction of length 1 in so many dimensions, along x for None.
+    """Return a direction of length 1, given as an axis, components, a text of these; x for None.
 
-    It is an axis, components, or a text of these. Raises InputError, which calls it by its `name`
-    and adds what `others` are possible.
+    Raises InputError, which calls it by its `name` and says what `others` are possible, too.
     """
     if direction is None:
         return np.eye(axes)[0]
@@ -196,10 +192,7 @@ def is_drive(direction):
 
 
 def einstein_frequency(axes, stiffness, mass):
-    """Return sqrt(2 d k / m) of a ball on 2 d springs whose other ends rest (paper: omxdef).
-
-    With k = kmax it is the unit of frequency; d is the number of axes.
-    """
+    """Return sqrt(2 d k / m) of a ball that springs hold along d axes (paper: omxdef)."""
     return math.sqrt(2 * axes * stiffness / mass)
 
 
@@ -222,11 +215,9 @@ def check_magnitudes(medium):
 
 
 def check_frequency(medium, omega):
-    """Raise InputError unless the driven medium's numbers and their squares fit into doubles.
-
-    No entry of S exceeds 4 d (k + omega beta) + m omega^2 up to the frequency.
-    """
+    """Raise InputError unless the driven medium's numbers and their squares fit into doubles."""
     omega = float(omega)
+    # no entry of S exceeds 4 d (k + omega beta) + m omega^2 up to the frequency
     springs = 4 * medium.axes * (medium.stiffest + omega * medium.damping)
     largest = springs + medium.mass * omega * omega
     if not math.isfinite(largest * largest):

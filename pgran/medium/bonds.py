@@ -27,7 +27,7 @@ import numpy as np
 from pgran.medium.base import AXES
 
 SIGNS = np.array([-1.0, 1.0])  # in a row of B, of the ball below a bond and of that above
-SMALLEST = 2  # balls of a piece that is not cut
+UNCUT = 2  # balls of a piece that is not cut
 
 
 def bond_ends(numbers):
@@ -83,10 +83,8 @@ def cut_sides(arrays, sides):
 
 
 def balls_above(shape):
-    """Return how many balls are above each bond along the last axis, an array for each axis.
-
-    Above a bond across that axis half of the balls beside it count, too.
-    """
+    """Return how many balls are above each bond along the last axis, an array for each axis."""
+    # above a bond across that axis half of the balls beside it count, too
     shapes = [bond_shape(shape, axis) for axis in range(len(shape))]
     height = [np.indices(own)[-1] + 0.5 * (own[-1] == shape[-1]) for own in shapes]
     return [shape[-1] - above for above in height]
@@ -147,7 +145,7 @@ def _shortest(places, piece, length):
         price[lower == 0] = np.inf
         price[upper == 0] = np.inf
         cheapest = np.minimum.reduceat(price, at)
-        better = (cheapest < best) & (length > SMALLEST)
+        better = (cheapest < best) & (length > UNCUT)
         here = np.flatnonzero(price == np.repeat(cheapest, widths))
         here = here[np.searchsorted(here, at)]  # the first of each piece
         best[better], along[better] = cheapest[better], direction

@@ -13,11 +13,10 @@ from pgran.store.paths import check_seal, has_seal
 
 
 def read_bonds(path):
-    """Return the arrays `/lattice/stiffness_x` and so on of a lattice, and its kmax or None.
+    """Return the arrays `/lattice/stiffness_x` and so on, and kmax or None; raise FileError.
 
     A result that is as it was written is read directly; any other HDF5 file is tried first by a
-    process of its own. Raises FileError if arrays are missing, of another type or elsewhere, if no
-    lattice has such bonds, or the file is damaged.
+    process of its own.
     """
     if has_seal(path):
         check_seal(path)

@@ -78,10 +78,7 @@ def _normals(position, bond):
 
 
 def _checked_array(name, value, dtype, wanted):
-    """Return an array of finite numbers, ints or floats, as a copy that nobody can change.
-
-    Raises InputError unless it has the shape `wanted`, where None is any length.
-    """
+    """Return finite numbers of the shape `wanted`, None for any length, as a read-only copy."""
     array = np.array(numbers(f"network: {name}", value, whole=dtype is int))
     if wanted[0] is None:
         wanted = [len(array) if array.ndim else 0, *wanted[1:]]

@@ -21,10 +21,7 @@ LIST = re.compile(rf"{ITEM}(?:,{ITEM})*")
 
 
 def hold(held, ids, column, *, rest=None, drive=None):
-    """Return what balls are, shape (N,): `held` as before, but for what two conditions choose.
-
-    `column` returns the numbers, shape (N,), of a column by its name.
-    """
+    """Return what balls are, shape (N,): as `held` says, but for what conditions choose."""
     held, chosen = held.copy(), []
     for name, condition, kind in (("rest", rest, AT_REST), ("drive", drive, DRIVEN)):
         if condition is not None:

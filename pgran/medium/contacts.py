@@ -59,7 +59,7 @@ def springs_of(network):
         np.concatenate([block.constants for block in blocks]),
         elastic,
         shares,
-        shares * network.law(elastic),
+        shares * network.dashpot_law(elastic),
         np.tile(angles, len(blocks)),
     )
 

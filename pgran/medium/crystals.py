@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.medium.graph import part, without_floating
+from pgran.medium.graph import subnetwork, without_floating
 from pgran.medium.law import BondLaw, unit_numbers
 from pgran.medium.network import Network
 from pgran.medium.packing import nearest_images
@@ -137,7 +137,7 @@ def diluted(network, missing, seed=1993):
     count = len(network.bond)
     order = np.argsort(unit_numbers(seed, 0, count, generation=2), kind="stable")
     left = np.sort(order[round(missing * count) :])
-    return without_floating(part(network, contacts=left))[0]
+    return without_floating(subnetwork(network, contacts=left))[0]
 
 
 def _made(bond, stiffness, held, seed, radius, others):
@@ -155,4 +155,4 @@ def _made(bond, stiffness, held, seed, radius, others):
         others.setdefault("radius", np.full(np.size(held), radius))
     network = Network(bond, stiffness, np.ravel(held), **others)
     moving = np.any(network.held[network.bond] == FREE, axis=1)
-    return network if np.all(moving) else part(network, contacts=np.flatnonzero(moving))
+    return network if np.all(moving) else subnetwork(network, contacts=np.flatnonzero(moving))

@@ -54,13 +54,13 @@ class Damped(Medium):
         if power:
             check_size("damping_reference", reference, positive=True)
             with np.errstate(all="ignore"):
-                most = self.law(np.append(stiffness, tangential)).max()
+                most = self.dashpot_law(np.append(stiffness, tangential)).max()
             if not np.isfinite(most * self.damping):
                 raise InputError(
                     f"-damping_power {power:g}: (k / k_ref)^p is too large; take p nearer to 0"
                 )
 
-    def law(self, elastic):
+    def dashpot_law(self, elastic):
         """Return (|k| / k_ref)^p of springs of some stiffness."""
         if not self.damping_power:
             return np.ones(np.shape(elastic))
@@ -109,15 +109,14 @@ class Damped(Medium):
         return self.moduli + s * self.damping * self.damped_springs
 
     def stiffer(self, growth, s, springs=..., elastic=None):
-        """Return how far kappa of some springs changes where their stiffness grows by so much.
-
-        `elastic` is the stiffness that they have, the medium's unless given.
-        """
+        """Return how far kappa of some springs, of stiffness `elastic`, changes by its growth."""
         if not self.has_law:
             return growth
         elastic = self.springs.elastic[springs] if elastic is None else elastic
         eta = self.springs.loss_angles[springs]
-        dashpots = self.springs.shares[springs] * (self.law(elastic + growth) - self.law(elastic))
+        dashpots = self.springs.shares[springs] * (
+            self.dashpot_law(elastic + growth) - self.dashpot_law(elastic)
+        )
         return growth * (1 + 1j * eta) + s * self.damping * dashpots
 
     def slope(self, s):
@@ -165,10 +164,7 @@ class Damped(Medium):
 
 
 def of_new(medium, balls=False):
-    """Return what damps contacts that are made anew, balls too if asked, by fields of a network.
-
-    Raises InputError where what there is differs by more than the law says.
-    """
+    """Return what damps contacts made anew, balls too if asked; raise where the old ones differ."""
     names = ["dashpot", "tangential_dashpot", "loss"] + ["drag"] * balls
     found = {name: getattr(medium, name) for name in names}
     for name, values in found.items():

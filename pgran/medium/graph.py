@@ -18,8 +18,8 @@ from pgran.medium.springs import AT_REST, DRIVEN, FREE, SYMMETRIC
 # each unknown PETSc is faster than MUMPS; up to so many for each ball a better order of MUMPS costs
 # more than it saves.
 LARGE_WORK, PETSC_WORK, QUICK_WORK = 3e9, 2500, 5e4
-STEPS = 30  # of inverse iteration at most
-ENOUGH = 0.9  # of the smallest eigenvalue: a bound that is as close as that is not improved
+ITERATIONS = 30  # of inverse iteration at most
+CLOSE = 0.9  # of the smallest eigenvalue: a bound that is as close as that is not improved
 # PETSc has this order from SuiteSparse, which not every PETSc is built with.
 MINIMUM_DEGREE = "amd"
 
@@ -52,10 +52,7 @@ class Graph:
 
 
 def _laplacian(ends, met, weights):
-    """Return L, sparse by columns, from the balls (contacts, 2) in contact, -1 where none is free.
-
-    Balls have so many contacts `met`, and displacements `weights` per mass-weighted unknown.
-    """
+    """Return L, sparse by columns, of contacts' balls (n, 2), -1 if held, with `met` contacts."""
     from scipy.sparse import csc_matrix
 
     i, j = ends[np.all(ends >= 0, axis=1)].T
@@ -84,7 +81,7 @@ def _lowest(laplacian, factors, rounding):
     has no positive entries beside its diagonal. Inverse iteration finds an x.
     """
     best, x = 0.0, np.ones(laplacian.shape[0])
-    for _ in range(STEPS):
+    for _ in range(ITERATIONS):
         x = factors.solve(x)
         x /= np.abs(x).max() or 1.0
         if not np.all(x > SMALLEST_NORMAL / EPSILON):  # NaN too
@@ -92,7 +89,7 @@ def _lowest(laplacian, factors, rounding):
         product = laplacian @ x
         sizes = 2 * laplacian.diagonal() * x - product  # of the terms: one alone is positive
         best = max(best, float(np.min((product - rounding * sizes) / x)))
-        if best > ENOUGH * (x @ product) / (x @ x):
+        if best > CLOSE * (x @ product) / (x @ x):
             break
     return best
 
@@ -195,7 +192,7 @@ def without_floating(network):
     The unit of frequency, `kmax`, stays. Raises InputError if nothing free is left.
     """
     kept = np.flatnonzero(anchored(network.bond, network.held))
-    return part(network, kept), kept
+    return subnetwork(network, kept), kept
 
 
 def without_rattlers(network: Medium) -> tuple[Medium, np.ndarray]:
@@ -213,7 +210,7 @@ def without_rattlers(network: Medium) -> tuple[Medium, np.ndarray]:
     (40, 33)
     """
     kept = np.flatnonzero(~_rattling(network))
-    return part(network, kept), kept
+    return subnetwork(network, kept), kept
 
 
 def with_rattlers_at_rest(network):
@@ -221,7 +218,7 @@ def with_rattlers_at_rest(network):
     loose = _rattling(network)
     held = np.where(loose, AT_REST, network.held)
     whole = np.flatnonzero(~np.any(loose[network.bond], axis=1))
-    return part(dataclasses.replace(network, held=held), contacts=whole)
+    return subnetwork(dataclasses.replace(network, held=held), contacts=whole)
 
 
 def _rattling(network):
@@ -271,11 +268,10 @@ def anchored(bond, held):
     return anchors[label]
 
 
-def part(network, balls=None, contacts=None):
-    """Return the network of some balls, and of those contacts that join two of them.
+def subnetwork(network, balls=None, contacts=None):
+    """Return the network of some balls, and of those of some contacts that join two of them.
 
-    `balls` and `contacts` are the numbers of those that are kept, ascending, or None for all.
-    Raises InputError if nothing free is left.
+    Both are numbers, ascending, or None for all. Raises InputError if nothing free is left.
     """
     balls = np.arange(len(network.held)) if balls is None else np.asarray(balls)
     contacts = np.arange(len(network.bond)) if contacts is None else np.asarray(contacts)

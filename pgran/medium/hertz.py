@@ -13,7 +13,7 @@ from pgran.medium.base import check_size, einstein_frequency
 # In Hertz's law k ~ F^(1/3): where k is drawn uniformly from [0, kmax], the mean force is a quarter
 # of the strongest.
 STRONGEST = 4.0
-LARGE = 0.2  # contact radius over that of the ball, beyond which Hertz's law is a poor one
+LARGEST_CONTACT = 0.2  # radius over that of the ball, beyond which Hertz's law is a poor one
 
 
 @dataclass(frozen=True)

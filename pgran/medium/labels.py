@@ -8,7 +8,7 @@ from pgran.run.options import options_in
 
 log = logging.getLogger("pgran")
 
-LONGEST = 120  # characters of what tells results apart
+LONGEST_LABEL = 120  # characters of what tells results apart
 # Options that are not called by their keys; {} is the value.
 WORDS = {key: f"{letter} = {{}}" for key, letter in LETTERS.items()}
 WORDS |= {"lattice_shape": "{} balls", "network_file": "network {}", "bonds_law": "bonds {}"}
@@ -30,7 +30,7 @@ def labels_of(results, names):
     labels = fewer if len(set(fewer)) == len(set(labels)) else labels
     told = []
     for label, name in zip(labels, names, strict=True):
-        if labels.count(label) > 1 or len(label) > LONGEST:
+        if labels.count(label) > 1 or len(label) > LONGEST_LABEL:
             why = f"no short words tell it apart: {label}" if differ else "no option differs"
             log.warning("%s is named by its file: %s", name, why)
             label = f"file {name}"

@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 # By axes, up to how many balls: one rank has the lattice; PETSc factors it faster than MUMPS; the
-# order of minimum degree suits lattices better that are `LONG` times as long as wide, or more.
-LARGE = {1: 10**7, 2: 100_000, 3: 20_000}
+# order of minimum degree suits lattices better that are `ELONGATED` times as long as wide, or more.
+SHARED_ABOVE = {1: 10**7, 2: 100_000, 3: 20_000}
 PETSC_FACTORS = {1: 10**7, 2: 200_000, 3: 8_000}
-MINIMUM_DEGREE, LONG = {1: 10**7, 2: 2500, 3: 0}, 4
+MINIMUM_DEGREE, ELONGATED = {1: 10**7, 2: 2500, 3: 0}, 4
 # Seconds of a factorization: the first times a power of the balls, that of nested dissection.
 SECONDS = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}
 
@@ -84,9 +84,9 @@ class Lattice(Elastic):
     ----------
     shape, axes, size, bonds
         Balls along each axis, how many axes, balls and bonds, wall bonds included, there are.
-    constants, shares : numpy.ndarray, shape (bonds,)
+    constants, exists : numpy.ndarray, shape (bonds,)
         Constants of all bonds, axis after axis, each array in C order; 1, or 0 at free sides.
-    moved : numpy.ndarray, shape (ny, ...)
+    wall_motion : numpy.ndarray, shape (ny, ...)
         How far each place of the driven wall moves.
 
     Raises
@@ -136,12 +136,12 @@ class Lattice(Elastic):
                 raise InputError(f"{name}: every bond constant must be finite and not negative")
         values = {"shape": shape, "axes": axes, "size": math.prod(shape)}
         values["free"] = _checked_sides(self.free, axes)
-        shares = np.ones(bond_count(shape))
-        cut_sides(bond_arrays(shape, shares), values["free"])
-        constants = shares * np.concatenate([k.ravel() for k in given])
-        for k in (shares, constants):
+        exists = np.ones(bond_count(shape))
+        cut_sides(bond_arrays(shape, exists), values["free"])
+        constants = exists * np.concatenate([k.ravel() for k in given])
+        for k in (exists, constants):
             k.flags.writeable = False
-        values |= {"shares": shares, "constants": constants, "bonds": len(shares)}
+        values |= {"exists": exists, "constants": constants, "bonds": len(exists)}
         values["stiffness"] = bond_arrays(shape, constants)
         values["stiffest"] = float(constants.max())
         for name in ("mass", "damping", "drag", "loss"):
@@ -154,13 +154,15 @@ class Lattice(Elastic):
         values["kmax"] = number("-bonds_kmax", kmax)
         wall = np.ones(shape[1:]) if self.wall is None else values["wall"]
         moves = values["push"] is None and "x+" not in values["free"]
-        values["moved"] = wall if moves else np.zeros(shape[1:])  # each place of the driven wall
-        values["drive"] = np.zeros(len(shares))
-        bond_arrays(shape, values["drive"])[0][-1] = values["moved"]
+        values["wall_motion"] = (
+            wall if moves else np.zeros(shape[1:])
+        )  # each place of the driven wall
+        values["drive"] = np.zeros(len(exists))
+        bond_arrays(shape, values["drive"])[0][-1] = values["wall_motion"]
         vars(self).update(values)
         check_magnitudes(self)
         self._check_dissipation(constants[self.existing])
-        damped = shares * self.law(constants) if self.damping_power else shares
+        damped = exists * self.dashpot_law(constants) if self.damping_power else exists
         losses = self.loss * constants if self.loss else None
         drags = np.full(self.size, self.drag) if self.drag else None
         vars(self).update(damped_springs=damped, losses=losses, drags=drags)
@@ -261,7 +263,7 @@ class Lattice(Elastic):
     @cached_property
     def existing(self):
         """The numbers of the bonds that exist: all but those at free sides."""
-        return np.flatnonzero(self.shares)
+        return np.flatnonzero(self.exists)
 
     # What drives.
 
@@ -273,7 +275,7 @@ class Lattice(Elastic):
         """Raise InputError if nothing is driven, or if no side has a wall."""
         if self.least_damping == 0 and not self.drag:
             raise InputError("-lattice_free: without any wall the lattice floats; leave one")
-        if self.push is None and not np.any(self.moved):
+        if self.push is None and not np.any(self.wall_motion):
             raise InputError(
                 "-lattice_free: x+ is the wall that drives; keep it, or let -drive_balls drive"
             )
@@ -301,11 +303,11 @@ class Lattice(Elastic):
     def springs(self):
         """See `springs.Springs`."""
         ends = bond_ends(np.arange(self.size).reshape(self.shape))
-        ends[self.shares == 0] = -1
+        ends[self.exists == 0] = -1
         constants = self.constants
         return Springs(
             self.size, ("normal",), ends, SIGNS[None], self.drive, self.drive, constants,
-            constants, self.shares, self.damped_springs, np.full(self.bonds, self.loss),
+            constants, self.exists, self.damped_springs, np.full(self.bonds, self.loss),
         )  # fmt: skip
 
     @property
@@ -342,12 +344,12 @@ class Lattice(Elastic):
     @property
     def is_large(self):
         """Whether all ranks should share it."""
-        return self.size > LARGE[self.axes]
+        return self.size > SHARED_ABOVE[self.axes]
 
     @cached_property
     def elimination(self):
         """See `Elimination`."""
-        is_long = self.axes == 1 or max(self.shape) > LONG * min(self.shape)
+        is_long = self.axes == 1 or max(self.shape) > ELONGATED * min(self.shape)
         by_degree = is_long and self.size <= MINIMUM_DEGREE[self.axes]
         constant, power = SECONDS[self.axes]
         seconds = 3e-4 + constant * self.size**power
@@ -370,8 +372,7 @@ class Lattice(Elastic):
     def sites(self, detectors, name="-detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
 
-        Raises InputError, which calls them by their `name`, if an index is missing or a ball lies
-        outside.
+        Raises InputError, which calls them by their `name`, unless all are in the lattice.
         """
         shape, axes = self.shape, self.axes
         indices = numbers(name, detectors, whole=True)
@@ -401,7 +402,7 @@ class Lattice(Elastic):
         if self.push is not None:
             driving = np.argwhere(self.push)
         else:
-            driving = np.insert(np.argwhere(self.moved), 0, self.shape[0], axis=1)
+            driving = np.insert(np.argwhere(self.wall_motion), 0, self.shape[0], axis=1)
         return closest(sites, driving)
 
     def displacements(self, field):
@@ -418,10 +419,7 @@ class Lattice(Elastic):
         return np.ravel_multi_index(sites.T, self.shape)
 
     def bond_places(self, bonds):
-        """Return the axis of each numbered bond, and its index into that axis's array.
-
-        The indices are an array with one axis more, of the length of `shape`.
-        """
+        """Return the axis of each numbered bond, and its index (..., dim) in that axis's array."""
         shapes = [bond_shape(self.shape, axis) for axis in range(self.axes)]
         axis = np.repeat(np.arange(self.axes), [math.prod(shape) for shape in shapes])
         index = [np.indices(shape).reshape(self.axes, -1).T for shape in shapes]

@@ -103,10 +103,9 @@ def _bimodal(u, kmin, kmax, fraction):
 
 
 def _hertz(u, force, contact):
-    """Springs of Hertzian contacts under random forces (paper: hertz, basespr).
+    """Springs k = dF/dh = 3/2 c^(2/3) F^(1/3) of contacts F = c h^(3/2) (paper: hertz, basespr).
 
-    F = c h^(3/2) linearised at F gives k = dF/dh = 3/2 c^(2/3) F^(1/3); F is exponentially
-    distributed with mean `force`, c is `contact`.
+    F is exponentially distributed with mean `force`, c is `contact`.
     """
     forces = -np.longdouble(force) * np.log1p(-u.astype(np.longdouble))
     return (1.5 * np.cbrt(np.longdouble(contact) ** 2 * forces)).astype(float)
@@ -175,8 +174,7 @@ class BondLaw:
     def deeper(self, weight, above):
         """Return by how much Hertz's law is stiffer below so many balls of a weight.
 
-        The mean force grows from `force` to force + weight * above, k like its cube root. Raises
-        InputError of another law, or of an impossible weight.
+        The mean force grows from `force` to force + weight * above, k like its cube root.
         """
         GRAVITY.check(weight)
         if self.name != "hertz":

@@ -279,10 +279,8 @@ class Network(Connected, Elastic):
 
     @property
     def overlap(self):
-        """How far the balls of each contact overlap under its force, by its law; None if unknown.
-
-        By F and k: positions, large numbers beside it, cannot hold it.
-        """
+        """How far balls of each contact overlap under its force, by its law; None if unknown."""
+        # by F and k: positions, large numbers beside it, cannot hold it
         if self.power is None or self.force is None:
             return None
         return self.power * self.force / self.stiffness
@@ -346,11 +344,8 @@ class Network(Connected, Elastic):
 
     @cached_property
     def rounding(self):
-        """How much rounding moves a residual, in units of the magnitudes that it is summed from.
-
-        As that of a lattice: sums over the springs at an unknown, and over the unknowns that these
-        couple it to.
-        """
+        """How much rounding moves a residual, in units of the magnitudes that it is summed from."""
+        # as of a lattice: sums over an unknown's springs, and over what these couple it to
         met = int(np.bincount(self.springs.B.indices).max())
         return (met * (1 + self.springs.columns.shape[1]) + 12) * EPSILON
 
@@ -381,10 +376,7 @@ class Network(Connected, Elastic):
     # Where balls and contacts are.
 
     def sites(self, detectors, name="-detectors"):
-        """Return ball numbers as an array (nd, 1).
-
-        Raises InputError, which calls them by their `name`, unless these balls are free.
-        """
+        """Return numbers of free balls (nd, 1); raise InputError, which has their `name`."""
         balls = numbers(name, detectors, whole=True)
         if balls.ndim > 1 and balls.shape[1:] != (1,):
             raise InputError(f"{name}: a ball of a network has one number, from 0 on")

@@ -11,10 +11,9 @@ POWERS = {"harmonic": 1.0, "hertz": 1.5}  # of the overlap: F = c h^power, k = p
 
 
 def nearest_images(away, periods):
-    """Return vectors (n, d) between the nearest images, and through which ends they lead.
+    """Return vectors (n, d) between balls' nearest images, and through which ends they lead.
 
-    `away` are the vectors between balls in the box, `periods` (d,) are infinite where there is
-    none.
+    `away` are those in the box; `periods` (d,) are infinite where there is none.
     """
     finite = np.isfinite(periods)
     turns = np.rint(away / periods)  # 0 where the period is infinite
@@ -34,14 +33,12 @@ class Kept(NamedTuple):
 
 
 def keep(bond, held, cut):
-    """Return which balls and contacts of a packing are kept, where some contacts are `cut`.
-
-    Contacts join the balls `bond` (nb, 2); where no ball is held, parts may float.
-    """
+    """Return what of a packing is `Kept` where some contacts are `cut`."""
     free, count = held == FREE, len(held)
     whole = bond[~cut]
     touched = np.isin(np.arange(count), bond)
     still_touched = np.isin(np.arange(count), whole)
+    # where no ball is held, parts may float
     fixed = np.ones(count, dtype=bool) if np.all(free) else anchored(whole, held)
     moving = free & still_touched & fixed
     contacts = ~cut & np.any(moving[bond], axis=1)

@@ -96,8 +96,7 @@ OF_NETWORKS = {
 def check_lattice(values, given, draws=False, several=False):
     """Raise where the options of a medium contradict each other.
 
-    `draws` says that the experiment draws constants itself, of networks by the law, too, `several`
-    that there may be more than one network.
+    `draws`: the experiment draws constants itself, of networks too; `several` networks may be.
     """
     network = values["network_file"]
     if network is not None:  # no word about a lattice makes one of it
@@ -144,8 +143,7 @@ def _check_grid(values, given, draws):
 def make_lattice(options, world):
     """Return the lattice or the network that the options describe, the same on every rank.
 
-    Collective. Raises InputError or FileError if the options or the bonds file are impossible,
-    PgranError if the ranks disagree on the bonds.
+    Collective. Raises PgranError if they are impossible, or the ranks disagree on the bonds.
     """
     medium = (_lattice if options.network_file is None else _network)(options, world)
     if options.bonds_redrawn:

@@ -14,12 +14,10 @@ def in_space(vectors):
 
 
 def reaches(network):
-    """Return how far each contact reaches from its first ball, (nb, 3), and which cross the box,
-    (nb,).
+    """Return how far each contact reaches from its first ball, (nb, 3), and whether across the box.
 
-    The box of a packing may be periodic. Where two balls that touch are not apart by the normal and
-    the distance of their contact, one touches an image of the other, and the contact reaches to
-    that image.
+    Where balls that touch are not apart by the normal and the distance of their contact, one
+    touches an image of the other, and the contact reaches to that image.
     """
     i, j = network.bond.T
     away = in_space(network.position[j] - network.position[i])
@@ -75,10 +73,9 @@ def mesh(result):
 
 
 def as_network(medium):
-    """Return the record of a network as it is, of a lattice as one of scalar displacements.
+    """Return the record of a network as it is, of a lattice as one, its bonds and balls in order.
 
-    Where a bond of the lattice ends at a wall there is a held ball of no mass; bonds and free balls
-    keep their order.
+    Where a bond of the lattice ends at a wall there is a held ball of no mass.
     """
     if medium.group == "network":
         return medium

@@ -73,10 +73,9 @@ def sparse_rows(columns, values, size):
 
 
 def differences(ends, axes, balls):
-    """Return rows that part the two balls of each contact along each axis, sparse.
+    """Return sparse rows (n * axes, axes * balls) that part the balls of contacts along each axis.
 
-    `ends` (n, 2) are numbers of free balls, -1 for one that is held. There are n * axes rows of the
-    axes * balls displacements of free balls.
+    `ends` (n, 2) are numbers of free balls, -1 for one that is held.
     """
     ends = np.repeat(ends, axes, axis=0)
     along = np.arange(len(ends))[:, None] % axes
@@ -166,10 +165,7 @@ class Elastic(Damped):
         return float(np.linalg.norm(self.driving)), float(np.linalg.norm(damped))
 
     def pull(self, s):
-        """Return the force that moves what is driven by 1 while all balls stay.
-
-        It is the sum of kappa(s) w^2 over the springs, which that stretches by w.
-        """
+        """Return sum kappa(s) w^2, the force that moves what is driven by 1 while balls stay."""
         stiffness, damping = self.pulls
         return stiffness + s * damping
 

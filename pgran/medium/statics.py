@@ -24,8 +24,8 @@ from pgran.medium.graph import without_rattlers
 from pgran.medium.packing import nearest_images
 from pgran.medium.springs import FREE, SYMMETRIC
 
-SMALLEST = 1e-14  # of K's largest entry: a smaller pivot is rounding
-UNBALANCED = 1e-8  # of the largest force: what a solution may leave
+SMALLEST_PIVOT = 1e-14  # of K's largest entry: a smaller pivot is rounding
+LARGEST_IMBALANCE = 1e-8  # of the largest force: what a solution may leave
 
 
 class Waves(NamedTuple):
@@ -197,12 +197,12 @@ def _energies(rows, constants, stretches):
         factors = splu(K, "NATURAL", **SYMMETRIC)
     except RuntimeError:  # singular
         raise loose from None
-    if not np.all(factors.U.diagonal() > SMALLEST * size):
+    if not np.all(factors.U.diagonal() > SMALLEST_PIVOT * size):
         raise loose
     moved = factors.solve(forces)
     moved += factors.solve(forces - K @ moved)
     left = np.abs(forces - K @ moved).max()
-    if not left <= UNBALANCED * np.abs(forces).max():
+    if not left <= LARGEST_IMBALANCE * np.abs(forces).max():
         raise PgranError(f"sound: forces balance to {left:.1e} only: its springs are too unlike")
     return affine, affine - forces.T @ moved
 
