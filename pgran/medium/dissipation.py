@@ -114,9 +114,8 @@ class Damped(Medium):
             return growth
         elastic = self.springs.elastic[springs] if elastic is None else elastic
         eta = self.springs.loss_angles[springs]
-        dashpots = self.springs.shares[springs] * (
-            self.dashpot_law(elastic + growth) - self.dashpot_law(elastic)
-        )
+        more = self.dashpot_law(elastic + growth) - self.dashpot_law(elastic)
+        dashpots = self.springs.shares[springs] * more
         return growth * (1 + 1j * eta) + s * self.damping * dashpots
 
     def slope(self, s):

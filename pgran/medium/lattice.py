@@ -122,50 +122,37 @@ class Lattice(Elastic):
     row_norms = math.sqrt(2), 0.0  # |b|_2 of a bond, what rounding adds to a difference
 
     def __post_init__(self):
-        given = self.stiffness if isinstance(self.stiffness, (list, tuple)) else ()
-        given = [numbers("stiffness", k) for k in given]
-        axes = len(given)
-        if not 1 <= axes <= 3 or any(k.ndim != axes for k in given):
-            raise InputError("stiffness: one array for each of 1 to 3 axes is needed")
-        shape = tuple(n - (axis == 0) for axis, n in enumerate(given[0].shape))
-        for axis, k in enumerate(given):
-            name = f"stiffness_{AXES[axis]}"
-            if k.shape != bond_shape(shape, axis) or min(shape) < 1:
-                raise InputError(f"{name}: shape {k.shape} does not fit a lattice of {shape}")
-            if not np.all(np.isfinite(k)) or np.any(k < 0):
-                raise InputError(f"{name}: every bond constant must be finite and not negative")
-        values = {"shape": shape, "axes": axes, "size": math.prod(shape)}
-        values["free"] = _checked_sides(self.free, axes)
-        exists = np.ones(bond_count(shape))
-        cut_sides(bond_arrays(shape, exists), values["free"])
-        constants = exists * np.concatenate([k.ravel() for k in given])
-        for k in (exists, constants):
-            k.flags.writeable = False
-        values |= {"exists": exists, "constants": constants, "bonds": len(exists)}
-        values["stiffness"] = bond_arrays(shape, constants)
-        values["stiffest"] = float(constants.max())
+        own = vars(self)  # which is not frozen
+        arrays = _checked_arrays(self.stiffness)
+        own["axes"], own["shape"] = len(arrays), (len(arrays[0]) - 1, *arrays[0].shape[1:])
+        own["size"], own["bonds"] = math.prod(self.shape), bond_count(self.shape)
+        own["free"] = _checked_sides(self.free, self.axes)
+        own["exists"] = np.ones(self.bonds)
+        cut_sides(self.blocks(self.exists), self.free)
+        own["constants"] = self.exists * np.concatenate([k.ravel() for k in arrays])
+        self.exists.flags.writeable = self.constants.flags.writeable = False
+        own["stiffness"], own["stiffest"] = self.blocks(self.constants), float(self.constants.max())
         for name in ("mass", "damping", "drag", "loss"):
-            values[name] = number(f"lattice_{name}", getattr(self, name))
-        values["wall"] = _checked_drive("wall", self.wall, shape[1:])
-        values["push"] = values["pushed"] = _checked_drive("push", self.push, shape)
+            own[name] = number(f"lattice_{name}", getattr(self, name))
+        own["kmax"] = number("-bonds_kmax", self.stiffest if self.kmax is None else self.kmax)
+
+        own["wall"] = _checked_drive("wall", self.wall, self.shape[1:])
+        own["push"] = own["pushed"] = _checked_drive("push", self.push, self.shape)
         if self.wall is not None and self.push is not None:
             raise InputError("lattice: either a wall moves or a push drives, not both")
-        kmax = values["stiffest"] if self.kmax is None else self.kmax
-        values["kmax"] = number("-bonds_kmax", kmax)
-        wall = np.ones(shape[1:]) if self.wall is None else values["wall"]
-        moves = values["push"] is None and "x+" not in values["free"]
-        values["wall_motion"] = (
-            wall if moves else np.zeros(shape[1:])
-        )  # each place of the driven wall
-        values["drive"] = np.zeros(len(exists))
-        bond_arrays(shape, values["drive"])[0][-1] = values["wall_motion"]
-        vars(self).update(values)
+        wall = np.ones(self.shape[1:]) if self.wall is None else self.wall
+        at_rest = self.push is not None or "x+" in self.free
+        own["wall_motion"] = 0.0 * wall if at_rest else wall
+        own["drive"] = np.zeros(self.bonds)
+        self.blocks(self.drive)[0][-1] = self.wall_motion
+
         check_magnitudes(self)
-        self._check_dissipation(constants[self.existing])
-        damped = exists * self.dashpot_law(constants) if self.damping_power else exists
-        losses = self.loss * constants if self.loss else None
-        drags = np.full(self.size, self.drag) if self.drag else None
-        vars(self).update(damped_springs=damped, losses=losses, drags=drags)
+        self._check_dissipation(self.constants[self.existing])
+        own["damped_springs"] = self.exists
+        if self.damping_power:
+            own["damped_springs"] = self.exists * self.dashpot_law(self.constants)
+        own["losses"] = self.loss * self.constants if self.loss else None
+        own["drags"] = np.full(self.size, self.drag) if self.drag else None
 
     def __repr__(self):
         return (
@@ -424,6 +411,22 @@ class Lattice(Elastic):
         axis = np.repeat(np.arange(self.axes), [math.prod(shape) for shape in shapes])
         index = [np.indices(shape).reshape(self.axes, -1).T for shape in shapes]
         return axis[bonds], np.concatenate(index)[bonds]
+
+
+def _checked_arrays(stiffness):
+    """Return constants as an array for each axis; raise InputError unless they fit a lattice."""
+    stiffness = stiffness if isinstance(stiffness, (list, tuple)) else ()
+    arrays = [numbers("stiffness", k) for k in stiffness]
+    if not 1 <= len(arrays) <= 3 or any(k.ndim != len(arrays) for k in arrays):
+        raise InputError("stiffness: one array for each of 1 to 3 axes is needed")
+    shape = (len(arrays[0]) - 1, *arrays[0].shape[1:])
+    for axis, k in enumerate(arrays):
+        name = f"stiffness_{AXES[axis]}"
+        if k.shape != bond_shape(shape, axis) or min(shape) < 1:
+            raise InputError(f"{name}: shape {k.shape} does not fit a lattice of {shape}")
+        if not np.all(np.isfinite(k)) or np.any(k < 0):
+            raise InputError(f"{name}: every bond constant must be finite and not negative")
+    return arrays
 
 
 def _checked_sides(sides, axes):

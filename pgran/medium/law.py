@@ -128,7 +128,7 @@ class BondLaw:
     Parameters
     ----------
     name : str
-        A key of `LAWS`.
+        `uniform`, `constant`, `loguniform`, `bimodal`, or `hertz`: k = 3/2 c^(2/3) F^(1/3).
     kmin, kmax, fraction, force, hertz : float, optional
         Parameters of this law, the options `-bonds_kmin` and so on; by default as `PARAMETERS` say.
 
