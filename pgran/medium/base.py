@@ -80,7 +80,7 @@ class Medium(Distinct):
         return 1.0 if self.push is None else float(self.push_sizes.sum() / abs(self.kmax))
 
     def drive_in_words(self):
-        """Yield in words what drives, if it is no whole wall, and which walls are missing."""
+        """Yield words for a drive other than a whole wall, and for missing walls."""
         if self.push is not None:
             yield f"driven by a force on {counted(np.count_nonzero(self.push_sizes), 'ball')}"
         elif self.is_grid and self.wall is not None:

@@ -41,7 +41,7 @@ def bond_ends(numbers):
 
 
 def bond_sides(values, axis, wall):
-    """Return what the balls below and above each bond along an axis hold; walls hold `wall`.
+    """Return the values of the balls below and above each bond along an axis; walls have `wall`.
 
     `values`, an array over the balls, gives two arrays that are one longer along the axis. This is
     the topology of the lattice: all else follows from it.
@@ -76,7 +76,7 @@ def bond_arrays(shape, bonds):
 
 
 def cut_sides(arrays, sides):
-    """Set to 0 what arrays of bonds, one for each axis, hold at sides such as `y+`."""
+    """Set the bonds at sides, `y+` and so on, to 0 in arrays for each axis."""
     for side in sides:
         axis = AXES.index(side[0])
         np.moveaxis(arrays[axis], axis, 0)[-1 if side[1] == "+" else 0] = 0.0

@@ -32,7 +32,7 @@ def read_bonds(path):
 
 
 def bonds(file):
-    """Return what a `CarefulFile` holds; kmax is that of the file's omega_mx, None if unknown."""
+    """Return the arrays of a `CarefulFile`, and kmax by its omega_mx, None if unknown."""
     names = [f.name for f in dataclasses.fields(LatticeRecord) if "axes" in f.metadata]
     there = file.members("lattice", names)
     if not there or there != names[: len(there)]:

@@ -1,4 +1,4 @@
-"""Whether what is given makes a network: arrays that fit, and values that are possible."""
+"""Checks of a network: arrays fit each other, and values are possible."""
 
 import numpy as np
 
@@ -102,7 +102,7 @@ def check_network(network):
 
 
 def _conditions(network):
-    """Yield pairs: whether something is impossible, what; each presupposes those before it."""
+    """Yield whether a condition is broken, and its name; each presupposes those before it."""
     held, bond, balls = network.held, network.bond, len(network.held)
     moving = held == FREE
     yield len(bond) == 0 or balls == 0, "it has no contacts"

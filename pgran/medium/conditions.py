@@ -21,7 +21,7 @@ LIST = re.compile(rf"{ITEM}(?:,{ITEM})*")
 
 
 def hold(held, ids, column, *, rest=None, drive=None):
-    """Return what balls are, shape (N,): as `held` says, but for what conditions choose."""
+    """Return `held`, shape (N,), changed for the balls that two conditions choose."""
     held, chosen = held.copy(), []
     for name, condition, kind in (("rest", rest, AT_REST), ("drive", drive, DRIVEN)):
         if condition is not None:
@@ -63,7 +63,7 @@ def choose(name, condition, ids, column):
 
 
 def columns_in(condition):
-    """Return the names of the columns that a condition compares; refuse what is none."""
+    """Return the names of the columns that a condition compares; raise InputError if it is none."""
     return [name for comparisons in _alternatives(condition) for name, *_ in comparisons]
 
 

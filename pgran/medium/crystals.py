@@ -1,4 +1,4 @@
-"""Networks made by rule: crystals, random geometric graphs, and what dilution leaves of them.
+"""Networks made by rule: crystals and random geometric graphs, whole and diluted.
 
 Nearest neighbours in a crystal are at the distance 1. Unless it is periodic along the first axis,
 or `held` is given, the balls at that axis' lower end are at rest, and those at its upper end are
@@ -128,7 +128,7 @@ def random_geometric(
 
 
 def diluted(network, missing, seed=1993):
-    """Return a network without a part of its contacts, 0 to 1, and without what floats afterwards.
+    """Return a network without a part of its contacts, 0 to 1, and the balls that then float.
 
     With the same seed more contacts are missing if the part is larger, and none come back.
     """

@@ -105,7 +105,7 @@ class Damped(Medium):
         return self.constants if self.losses is None else self.constants + 1j * self.losses
 
     def kappa(self, s):
-        """Return what each spring pulls with at s, k (1 + i eta) + s beta d."""
+        """Return kappa(s) = k (1 + i eta) + s beta d of each spring."""
         return self.moduli + s * self.damping * self.damped_springs
 
     def stiffer(self, growth, s, springs=..., elastic=None):
@@ -126,7 +126,7 @@ class Damped(Medium):
         return 1 + 1j * springs.loss_angles + s * self.damping * power * ratio
 
     def other_widths(self, vectors):
-        """Return what drag and loss angles add to the widths of motions, arrays over unknowns.
+        """Return the widths that drag and loss angles give to motions, arrays over unknowns.
 
         f^T alpha f / |f|^2 and f^T L f / (m omega |f|^2), with omega^2 = f^T K f / (m |f|^2).
         """
@@ -143,7 +143,7 @@ class Damped(Medium):
 
     @property
     def damping_facts(self):
-        """The least and largest of what damps, by name: beta, and p, alpha and eta if not 0."""
+        """The least and largest beta, and p, alpha and eta if not 0, by these names."""
         values = self.damping, self.damping_power, self.drag, self.loss
         named = dict(zip(LETTERS.values(), values, strict=True))
         there = {name: value for name, value in named.items() if name == "beta" or np.any(value)}
@@ -163,7 +163,7 @@ class Damped(Medium):
 
 
 def of_new(medium, balls=False):
-    """Return what damps contacts made anew, balls too if asked; raise where the old ones differ."""
+    """Return the damping of contacts made anew, of balls too if asked; raise if the old differ."""
     names = ["dashpot", "tangential_dashpot", "loss"] + ["drag"] * balls
     found = {name: getattr(medium, name) for name in names}
     for name, values in found.items():

@@ -1,4 +1,4 @@
-"""The graph of a network's contacts: what hangs together, the order of elimination, the damping.
+"""The graph of a network's contacts: connected parts, order of elimination, least damping.
 
 Its Laplacian L has a row for each free ball; held balls are walls. Where damping is beta on the
 whole relative velocity of a contact and balls do not turn, C is L for each component of the
@@ -25,7 +25,7 @@ MINIMUM_DEGREE = "amd"
 
 
 class Graph:
-    """The graph of a network's free balls, and what one factorization of its Laplacian L tells.
+    """The graph of a network's free balls, by one factorization of its Laplacian L.
 
     The sparse `laplacian` (free, free) is that of constants 1 in mass-weighted unknowns. `order` is
     that of minimum degree, which fills factors little. The factorization of a matrix over all
@@ -75,7 +75,7 @@ def _factored(laplacian):
 
 
 def _lowest(laplacian, factors, rounding):
-    """Return what no eigenvalue of L is below; rounding moves (L x)_i by that part of its terms.
+    """Return a lower bound of L's eigenvalues; rounding moves (L x)_i by that part of its terms.
 
     For x > 0 none is below the smallest of (L x)_i / x_i: by Gershgorin's circles of X^-1 L X, as L
     has no positive entries beside its diagonal. Inverse iteration finds an x.
@@ -185,7 +185,7 @@ class Connected:
 
 
 def without_floating(network):
-    """Return a network without what floats, and the numbers of the balls that are kept, ascending.
+    """Return a network without balls that float, and the numbers of those kept, ascending.
 
     A free ball floats if no path of contacts leads from it to a held ball: its motion is no answer
     to the drive, and K and C are singular. Where no ball is held, all parts but the largest float.
@@ -233,7 +233,7 @@ def _rattling(network):
 
 
 def rattlers(network):
-    """Return which free balls too few contacts hold, shape (balls,): what they touch, but for them.
+    """Return which free balls too few contacts hold, shape (balls,), those with others not counted.
 
     In balance a ball that repels its neighbours needs d + 1 contacts in d dimensions, with
     tangential springs d; one of a scalar displacement is held by a single spring.

@@ -1,4 +1,4 @@
-"""What tells results apart, in the words of their options, or else by the names of their files."""
+"""Labels of results: the options in which they differ, or else the names of their files."""
 
 import logging
 
@@ -17,7 +17,7 @@ WORDS |= {"drive_part": "driven at {}", "drive_balls": "force on {}", "bonds_red
 
 
 def labels_of(results, names):
-    """Return what tells results apart: the options in which they differ, else their files' names.
+    """Return a label of each result: the options in which they differ, else its file's name.
 
     How a run was carried out, and what it stored, is no difference, nor at which frequencies, which
     curves show, unless nothing else is.

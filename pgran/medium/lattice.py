@@ -255,7 +255,7 @@ class Lattice(Elastic):
     # What drives.
 
     def pushed_by(self, forces):
-        """Return as a change what a push on each ball, shape (balls,), makes of the lattice."""
+        """Return the fields of the lattice under a push on each ball, shape (balls,)."""
         return {"push": forces.reshape(self.shape), "wall": None}
 
     def check_driven(self):
@@ -280,7 +280,7 @@ class Lattice(Elastic):
             yield above - below
 
     def spread(self, tensions):
-        """Return B^T t: the sum, ball by ball, of what its bonds hold; arrays as of `stretch`."""
+        """Return B^T t, the sum of the tensions of each ball's bonds, arrays as of `stretch`."""
         total = 0.0
         for axis, t in enumerate(tensions, -self.axes):
             total -= np.diff(t, axis=axis)  # the bond below a ball counts +, as in B

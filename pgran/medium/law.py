@@ -308,7 +308,7 @@ def draw_changes(law, bonds, seed, trajectory, first, count, unit=1.0):
 
 @dataclass(frozen=True)
 class Changes:
-    """Which bonds change, and to what."""
+    """Bonds that change, and their new constants."""
 
     bond: np.ndarray  # numbers of bonds, axis after axis, each array in C order
     stiffness: np.ndarray  # their new constants

@@ -325,7 +325,7 @@ class Network(Connected, Elastic):
 
     @property
     def row_norms(self):
-        """The largest |b|_2 of a contact, and what rounding adds to b^T x, in units of |x|_2."""
+        """The largest |b|_2 of a contact, and the rounding of b^T x in units of |x|_2."""
         values = self.springs.values
         size = float(np.sqrt(np.sum(values[: self.bonds] ** 2, axis=1)).max())
         return size, (values.shape[1] + 1) * EPSILON * size
@@ -368,7 +368,7 @@ class Network(Connected, Elastic):
         return self.weights * forces.ravel()
 
     def pushed_by(self, forces):
-        """Return as changes what a push on each free ball, along the drive, makes of it."""
+        """Return the fields of the network under a push on each free ball, along the drive."""
         push = np.zeros((len(self.held), self.axes))
         push[self.free] = forces[:, None] * self.direction
         return {"push": push, "held": np.where(self.held == FREE, FREE, AT_REST)}

@@ -109,7 +109,7 @@ def check_output(path, overwrite):
 
 
 def members_of(file):
-    """Return what `/network` of a `CarefulFile` holds, as `Network` takes it."""
+    """Return `/network` of a `CarefulFile` as keywords of `Network`."""
     datasets = file.members("network", DATASETS)
     attributes = file.attributes("network", ATTRIBUTES)
     _check_names(file)
@@ -135,7 +135,7 @@ def members_of(file):
 
 
 def _check_names(file):
-    """Raise where a file says of a network what is not read: misspelt, elsewhere, or unknown."""
+    """Raise where a file has names of a network that are misspelt, elsewhere, or unknown."""
     facts = file.attributes("/")
     newest = {FORMAT: FORMAT_VERSION, store.FORMAT: store.FORMAT_VERSION}
     if "format_version" in facts and (kind := str(facts.get("format", FORMAT))) in newest:

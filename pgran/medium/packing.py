@@ -1,4 +1,4 @@
-"""Packings: laws of contacts, periodic boxes, what hangs together, whether forces balance."""
+"""Packings: laws of contacts, periodic boxes, parts that can vibrate, balance of forces."""
 
 from typing import NamedTuple
 

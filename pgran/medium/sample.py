@@ -1,4 +1,4 @@
-"""The medium of a run: its options, what must hold between them, and what they make."""
+"""The medium of a run: its options, their checks, and the lattice or network they make."""
 
 import dataclasses
 

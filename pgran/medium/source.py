@@ -78,7 +78,7 @@ def with_source(
 
 
 def _part(medium, condition):
-    """Return what is driven where a condition chooses a part of what is held."""
+    """Return the fields that let the held balls, or places of the wall, of a condition drive."""
     if medium.is_grid:
         places = np.indices(medium.shape[1:]).reshape(medium.axes - 1, -1)
         held = np.arange(places.shape[1])

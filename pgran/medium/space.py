@@ -46,7 +46,7 @@ def everywhere(network, values, drive=0.0):
 
 
 def mesh(result):
-    """Return what there is in space: points (n, 3), lines between them (m, 2), and data of both.
+    """Return points in space (n, 3), lines between them (m, 2), and data of both.
 
     The data of points and of lines are arrays of as many rows, by name; vectors have 3 components.
     """
@@ -96,7 +96,7 @@ def as_network(medium):
 
 
 def _of_bonds(result):
-    """Yield what a signal depends on and the power, by name, at the frequencies that succeeded."""
+    """Yield power and derivatives of signals by bonds, by name, at frequencies that succeeded."""
     record = getattr(result, "sensitivity", None)
     for n in [] if record is None else np.flatnonzero(record.converged_reason > 0):
         yield f"flux_{n + 1:04}", record.flux[n]

@@ -1,4 +1,4 @@
-"""Springs as rows of B, and what follows from them: forces, sizes, rounding.
+"""Springs as rows of B, with their forces, sizes and rounding.
 
 b u is how far a spring of the row b is lengthened, so K = B^T diag(k) B. Dashpots act likewise
 (`pgran.medium.dissipation`). Balls at rest and driven ones are no unknowns; what is driven
@@ -149,7 +149,7 @@ class Elastic(Damped):
             yield longer, constants, damped
 
     def _force_of_drive(self, constants):
-        """Return the force of what is driven, moved by 1, through springs of such constants."""
+        """Return the force of the drive, moved by 1, through springs of some constants."""
         return -self.spread(block[None] for block in self.blocks(constants * self.drive))[0]
 
     @property
@@ -160,7 +160,7 @@ class Elastic(Damped):
 
     @property
     def drive_norms(self):
-        """|f|_2 at rest, and of what dashpots add to it for beta = 1."""
+        """|f|_2 at rest, and that of the dashpots' part for beta = 1."""
         damped = self._force_of_drive(self.damped_springs)
         return float(np.linalg.norm(self.driving)), float(np.linalg.norm(damped))
 
