@@ -10,8 +10,8 @@ from pgran.run.numbers import number, numbers
 
 KINDS = ("scalar", "vector", "rotations")
 REQUIRED = ("held", "bond", "stiffness")
-UNIFORM = ("masses", "drag", "dashpot", "tangential_dashpot", "loss")  # may be one number for all
-NOT_NEGATIVE = UNIFORM[1:]
+OF_DAMPING = ("drag", "dashpot", "tangential_dashpot", "loss")
+UNIFORM = ("masses", *OF_DAMPING)  # may be one number for all
 
 
 def checked_values(network, arrays):
@@ -44,7 +44,7 @@ def checked_values(network, arrays):
         if network.distance is None:
             values["distance"] = distance
     check("normal", *(name for name in arrays if name not in (*values, "normal", "push")))
-    for name in NOT_NEGATIVE:
+    for name in OF_DAMPING:
         value = values.get(name)
         if value is not None and np.any(value < 0):
             raise InputError(f"network: {name}: must be 0 or more")

@@ -25,7 +25,7 @@ from law_samples import lawful_network, with_laws
 
 import pgran
 from pgran.errors import PgranError
-from pgran.medium.checks import OF_CONTACTS
+from pgran.medium.checks import OF_DAMPING
 
 ALIKE = 1e-9
 # BLAS rounds by where arrays lie: what errors, and the difference of two large numbers, may vary by
@@ -138,7 +138,7 @@ def case(start, units):
     top, length = factor("sqrt(k/m)", units) * start.omega_mx, units["length"]
     balls = np.argwhere(np.ones(start.shape)) if start.is_grid else start.free[:, None]
     # pulses know no loss, and contacts made anew are all alike
-    off = {"loss": 0.0} if start.is_grid else dict.fromkeys((*OF_CONTACTS, "drag"))
+    off = {"loss": 0.0} if start.is_grid else dict.fromkeys(OF_DAMPING)
     plain = dataclasses.replace(start, **off)
     pushed = in_units(pgran.with_source(plain, balls=balls[:1]), units)
     law = lambda u: units["k"] * start.kmax * (0.05 + u / 2)  # noqa: E731
