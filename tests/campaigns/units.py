@@ -71,7 +71,7 @@ def factor(words, units):
 def in_units(medium, units):
     """Return a medium whose numbers are so many times as large."""
     changed = {}
-    for name in UNIT.keys() & vars(medium).keys():
+    for name in UNIT.keys() & medium.__dataclass_fields__.keys():
         times, value = factor(UNIT[name], units), getattr(medium, name)
         if value is not None:
             each = isinstance(value, tuple)  # of the axes of a lattice
