@@ -4,14 +4,17 @@ The unknowns are mass-weighted, the median mass being the unit.
 """
 
 import dataclasses
+from collections import Counter
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from change_faults import sensitivity_faults
 from mpmath import mp
 from network_samples import NetworkReference
 from samples import listened, swept
 from scipy.integrate import solve_ivp
+from sensitivity_samples import SensitivityCase
 
 import pgran
 from pgran.experiments.response.models import SmallSystems, evaluate
@@ -90,3 +93,13 @@ def test_bounds_of_a_model_are_in_units_of_what_a_detector_reads(comm, factor):
     assert np.all(scaled[1] >= models.rounding * 200 * factor)
     older = SmallSystems(model, dataclasses.replace(models, receiver=None), omegas)
     assert np.all(older.rounding[1] >= scaled[1])  # of files that do not say
+
+
+@pytest.mark.parametrize("mass", LIGHT)
+def test_derivatives_and_changes_of_light_balls(comm, mass):
+    """Sensitivities, a warm ball, cut contacts, each amplitude, against elimination."""
+    network, seen = light_chain(mass, 4, 0.02 * mass), Counter()
+    omegas, sites = np.array([0.8, 1.7]), np.array([2, 4])
+    case = SensitivityCase(0, network, omegas, sites, "default", 1e-2, {"factor": 2.0})
+    assert list(sensitivity_faults(case, seen, comm)) == []
+    assert comm.rank or (seen["good"] == 2 and seen["by_stiffness bounded"] > 0)

@@ -63,12 +63,10 @@ class NetworkRecord(Record):
     tangential: np.ndarray | None = array(
         "constants of tangential springs", "k", "contact", optional=True
     )
-
     push: np.ndarray | None = array(
         "force on each ball, which drives instead of held balls", "k", "ball", "drive_coordinate",
         optional=True,
     )  # fmt: skip
-
     dashpot: np.ndarray | None = array("part of the damping", "1", "contact", optional=True)
     tangential_dashpot: np.ndarray | None = array(
         "part of the damping along tangents", "1", "contact", optional=True
