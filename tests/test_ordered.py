@@ -12,7 +12,7 @@ import pgran
 from pgran.command.imports import middle
 from pgran.errors import InputError
 from pgran.medium.crystals import square
-from pgran.medium.graph import part
+from pgran.medium.graph import subnetwork
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
 
@@ -40,7 +40,7 @@ def test_it_shares_all_but_the_places(axes, isostatic):
     # nearest neighbours all touch; what is beyond are diagonals, and few
     side = lattice.distance.min()
     assert {*np.round(lattice.distance / side, 6)} == {1.0, round(np.sqrt(2), 6)}
-    near = part(lattice, contacts=np.flatnonzero(lattice.distance < 1.2 * side))
+    near = subnetwork(lattice, contacts=np.flatnonzero(lattice.distance < 1.2 * side))
     assert np.all(contacts_of(near) == isostatic)
     assert contacts_of(lattice).var() < 0.6 * contacts_of(packing).var()
     ends = [
@@ -74,7 +74,7 @@ def test_what_has_no_counterpart():
         "under a pressure": pgran.pack(60, gravity=1e-4, seed=1),
         "ends of one axis": dataclasses.replace(packing, held=np.minimum(packing.held, 1)),
         "not beyond": dataclasses.replace(packing, held=turned),
-        "more than a lattice": part(packing, contacts=3 * [*range(packing.bonds)]),
+        "more than a lattice": subnetwork(packing, contacts=3 * [*range(packing.bonds)]),
     }.items():
         with pytest.raises(InputError, match=message):
             pgran.ordered(refused)
