@@ -20,46 +20,31 @@ from pgran.run.agreement import SECONDS_FOR_MPIRUN, met_by_all
 log = logging.getLogger("pgran")
 
 SECONDS_TO_BE_ENDED = 5.0  # that a rank waits for another one's abort
-USAGE = """\
+# Of each command what it takes, what it does, and its function in `pgran.command`, which returns an
+# exit code.
+COMMANDS = {
+    "run": ("FILE [-key value ...]", "compute the experiment in an options file", "run.run"),
+    "plot": ("RESULT [OTHER ...]", "draw the figures of a result, or of several", "plot.run"),
+    "compare": ("A B", "say how alike two responses or two codas are", "compare.run"),
+    "export": ("RESULT TO", "write it as a table, or for ParaView", "export.run"),
+    "verify": ("RESULT", "say whether it is unchanged", "verify.verify"),
+    "import": ("ATOMS CONTACTS -o TO", "make a network of another program's balls", "imports.run"),
+    "pack": ("--balls N -o TO", "make a packing in mechanical equilibrium", "pack.run"),
+    "units": ("--diameter M ...", "say what its numbers are in SI units", "units.run"),
+    "sound": ("FILE", "compute the speeds of long waves, by statics", "sound.run"),
+    "options": ("[SCENE]", "list every option", "listing.list_options"),
+    "manual": ("[TOPIC]", "show a page of the manual, or list them", "manual.run"),
+    "doctor": ("", "say what is installed, and what is wrong", "doctor.examine"),
+    "cite": ("", "say how to cite pgran", "manual.cite"),
+}
+LINES = [f"  {f'pgran {name} {words}':<35} {does}\n" for name, (words, does, _) in COMMANDS.items()]
+USAGE = f"""\
 pgran: sound in a granular material, balls joined by springs of random strength
 
-  pgran run FILE [-key value ...]     compute the experiment in an options file
-  pgran plot RESULT [OTHER ...]       draw the figures of a result, or of several
-  pgran compare A B                   say how alike two responses or two codas are
-  pgran export RESULT TO              write it as a table, or for ParaView
-  pgran verify RESULT                 say whether it is unchanged
-
-  pgran import ATOMS CONTACTS -o TO   make a network of the balls of another program
-  pgran pack --balls N -o TO          make a packing in mechanical equilibrium
-  pgran units --diameter M ...        say what its numbers are in SI units
-  pgran sound FILE                    compute the speeds of long waves, by statics
-
-  pgran options [SCENE]               list every option
-  pgran manual [TOPIC]                show a page of the manual, or list them
-  pgran doctor                        say what is installed, and what is wrong
-  pgran cite                          say how to cite pgran
-
+{"".join(LINES)}
 pgran COMMAND --help says more; pgran --version says which this is.
 In parallel: mpirun -n 2 pgran run options/response.opts
 """
-
-
-# A module of `pgran.command` and its function for each command, which returns an exit code.
-COMMANDS = {
-    "run": ("run", "run"),
-    "plot": ("plot", "run"),
-    "compare": ("compare", "run"),
-    "export": ("export", "run"),
-    "options": ("listing", "list_options"),
-    "doctor": ("doctor", "examine"),
-    "verify": ("verify", "verify"),
-    "import": ("imports", "run"),
-    "pack": ("pack", "run"),
-    "units": ("units", "run"),
-    "sound": ("sound", "run"),
-    "manual": ("manual", "run"),
-    "cite": ("manual", "cite"),
-}
 
 
 def main(words):
@@ -82,7 +67,7 @@ def main(words):
         raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
     if words[0] != "doctor":
         machine.check_limits()
-    module, function = COMMANDS[words[0]]
+    module, _, function = COMMANDS[words[0]][-1].partition(".")
     command = getattr(importlib.import_module(f"pgran.command.{module}"), function)
     with saying_once():
         return command(words[1:])

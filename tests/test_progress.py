@@ -13,9 +13,9 @@ def test_time_left_by_the_pace_of_now(monkeypatch, capsys):
             counter.advance(count)
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 3
-    assert said[-1] == "pgran: 529 of 1000 steps, about 8 min left"
+    assert said[-1] == "pgran: 529 of 1000 steps, about 7.8 min left"
 
 
 def test_durations():
-    for seconds, words in ((119, "119 s"), (600, "10 min"), (7200, "2 h"), (2e5, "2 days")):
-        assert task._duration(seconds) == words
+    for seconds, words in ((119, "120 s"), (600, "10 min"), (7200, "2 h"), (2e5, "2.3 days")):
+        assert task.in_time(seconds) == words

@@ -19,6 +19,7 @@ from pgran.command.resolve import opening, run_scene
 from pgran.medium.sample import make_lattice, ranks_per_lattice
 from pgran.run.crew import Crew
 from pgran.run.machine import free_memory, most_resident
+from pgran.run.task import in_time
 from pgran.store.estimate import counted
 from pgran.store.record import Record
 
@@ -173,11 +174,3 @@ def in_bytes(count):
         if count >= unit:
             return f"{float(f'{count / unit:.2g}'):g} {name}"
     return f"{count:.0f} bytes"
-
-
-def in_time(seconds):
-    """Return a time in words, two digits of it."""
-    for unit, name in ((86400, "days"), (3600, "h"), (60, "min")):
-        if seconds >= 2 * unit:
-            return f"{float(f'{seconds / unit:.2g}'):g} {name}"
-    return f"{float(f'{seconds:.2g}'):g} s"

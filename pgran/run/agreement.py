@@ -45,25 +45,17 @@ def on_root(comm, action, keep=False):
 
 @contextlib.contextmanager
 def agreeing(comm):
-    """Raise on every rank what one of them meets in the meantime, or if they ask for other things.
+    """Raise on every rank what the first that meets anything has met in the meantime.
 
-    Collective, where it ends; nothing within it is. The value is a dict: what this rank asks for, a
-    checksum by name.
+    Collective, where it ends. What no one has foreseen is raised as it is where it was met,
+    elsewhere as a PgranError. The value is a dict, of what this rank asks for, a checksum by name:
+    an InputError is raised if the ranks ask for different things.
     """
     failure, asked = None, {}
     try:
         yield asked
     except Exception as error:
         failure = error
-    agree(comm, failure, asked)
-
-
-def agree(comm, failure, asked=None):
-    """Raise on every rank what the first of those has met whose `failure` is not None. Collective.
-
-    What no one has foreseen is raised as it is where it was met, elsewhere as a PgranError. Raises
-    an InputError if what is `asked` differs.
-    """
     failures, everyone = zip(*comm.allgather((_described(failure), asked)), strict=True)
     _raise(next(filter(None, failures), None), failure)
     first = everyone[0]

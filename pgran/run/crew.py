@@ -8,10 +8,9 @@ nor on whether the run was stopped in between and went on from its journal.
 import contextlib
 
 import numpy as np
-from mpi4py import MPI
 
 from pgran.errors import InputError, is_foreseen
-from pgran.run.agreement import agree, agreeing, on_root
+from pgran.run.agreement import agreeing, on_root
 
 WORD, FIRST_TAG = 1, 2  # tags of messages: a word to stop; results, a tag for each call of `share`
 
@@ -100,7 +99,8 @@ class Crew(contextlib.AbstractContextManager):
         for rank, name in enumerate(names):
             if name and self.group.rank == 0 and rank != self.world.rank:
                 self.world.recv(source=rank, tag=WORD)
-        MPI.Request.waitall(self._words)
+        for word in self._words:
+            word.wait()
         stopped = next(filter(None, names), None)
         if stopped:
             self.journal.stop(stopped)
@@ -136,8 +136,10 @@ class AgreeingCrew(Crew):
                     met.append(error)
             return np.zeros(0, task.row)
 
-        super().share(task, tried, deliver)
-        agree(self.world, met[0] if met else None)
+        with agreeing(self.world):
+            super().share(task, tried, deliver)
+            if met:
+                raise met[0]
 
 
 class _Results:
@@ -163,7 +165,8 @@ class _Results:
             self._sent = [request for request in self._sent if not request.Test()]
             self._sent.append(self.world.isend(message, 0, tag=self.tag))
             if message is None:
-                MPI.Request.waitall(self._sent)
+                for request in self._sent:
+                    request.wait()
 
     def _take(self, message):
         """Keep and deliver the rows of a unit, or note that a group has no more, on rank 0."""

@@ -111,13 +111,13 @@ class Progress(contextlib.AbstractContextManager):
             # by the pace since the last line: what an earlier run had finished came at once
             left = (now - self.last_time) * (self.total - self.done) / (self.done - self.last_done)
             self.last_time, self.last_done = now, self.done
-            text = f"{self.done} of {self.total} {self.what}, about {_duration(left)} left"
+            text = f"{self.done} of {self.total} {self.what}, about {in_time(left)} left"
             print(f"pgran: {text}", file=sys.stderr, flush=True)
 
 
-def _duration(seconds):
-    """Return a time in the largest unit that suits it."""
+def in_time(seconds):
+    """Return a time in words, in the largest unit that suits it, two digits of it."""
     for size, unit in ((86400, "days"), (3600, "h"), (60, "min")):
         if seconds >= 2 * size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s"
+            return f"{float(f'{seconds / size:.2g}'):g} {unit}"
+    return f"{float(f'{seconds:.2g}'):g} s"
