@@ -1,4 +1,4 @@
-"""The tables of the manual's pages on options and on files, as `bash jobs/manual.sh` writes them."""
+"""The tables of the pages on options and on files, as `bash jobs/manual.sh` writes them."""
 
 import re
 from pathlib import Path

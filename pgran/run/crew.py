@@ -12,7 +12,7 @@ import numpy as np
 from pgran.errors import InputError, is_foreseen
 from pgran.run.agreement import agreeing, on_root
 
-WORD, FIRST_TAG = 1, 2  # tags of messages: a word to stop; results, a tag for each call of `share`
+STOP, FIRST_RESULTS = 1, 2  # tags of messages: a word to stop; results, a tag a call of `share`
 
 
 class Crew(contextlib.AbstractContextManager):
@@ -58,7 +58,7 @@ class Crew(contextlib.AbstractContextManager):
         """
         # A tag of its own keeps a fast rank's next results apart from a slow one's present ones.
         self._shared += 1
-        results = _Results(self, FIRST_TAG + self._shared, task, deliver)
+        results = _Results(self, FIRST_RESULTS + self._shared, task, deliver)
         left = self.world.bcast(results.left)
         for position in (p for turn, p in enumerate(left) if self._takes(turn)):
             if self.journal is not None and self._stop_asked():
@@ -84,13 +84,13 @@ class Crew(contextlib.AbstractContextManager):
         Groups do not wait for each other, so the one that gets a signal sends word.
         """
         first = self.group.rank == 0
-        heard = first and self.world.Iprobe(tag=WORD)
+        heard = first and self.world.Iprobe(tag=STOP)
         names, heard = zip(*self.group.allgather((self.journal.stop_asked, heard)), strict=True)
         name = next(filter(None, names), None)
         if name and first:
             others = set(range(0, self.world.size, self.group.size)) - {self.world.rank}
             self._stopped_by = name
-            self._words = [self.world.isend(name, rank, tag=WORD) for rank in others]
+            self._words = [self.world.isend(name, rank, tag=STOP) for rank in others]
         return name or any(heard)
 
     def _agree_to_stop(self):
@@ -98,12 +98,46 @@ class Crew(contextlib.AbstractContextManager):
         names = self.world.allgather(self._stopped_by)
         for rank, name in enumerate(names):
             if name and self.group.rank == 0 and rank != self.world.rank:
-                self.world.recv(source=rank, tag=WORD)
+                self.world.recv(source=rank, tag=STOP)
         for word in self._words:
             word.wait()
-        stopped = next(filter(None, names), None)
-        if stopped:
+        if stopped := next(filter(None, names), None):
             self.journal.stop(stopped)
+
+
+class _Results:
+    """The way of results to rank 0: into the journal, and to whom they are delivered."""
+
+    def __init__(self, crew, tag, task, deliver):
+        self.world, self.tag, self.deliver, self.journal = crew.world, tag, deliver, crew.journal
+        self.left, self._sent, self._working = list(range(len(task.units))), [], crew.groups
+        if self.journal is not None and self.world.rank == 0:
+            self.stage = self.journal.stage(tag, task.units, task.row)
+            finished = self.journal.kept(self.stage, task.row)
+            for position, rows in finished.items():
+                deliver(position, rows)
+            self.left = sorted(set(self.left).difference(finished))
+
+    def put(self, message):
+        """Hand in a unit's position and rows, or None after the last, on a group's first rank."""
+        if self.world.rank == 0:
+            self._take(message)
+            while self._working and (message is None or self.world.Iprobe(tag=self.tag)):
+                self._take(self.world.recv(tag=self.tag))
+            return
+        self._sent = [request for request in self._sent if not request.Test()]
+        self._sent.append(self.world.isend(message, 0, tag=self.tag))
+        for request in self._sent if message is None else ():
+            request.wait()
+
+    def _take(self, message):
+        """Keep and deliver the rows of a unit, or note that a group has no more, on rank 0."""
+        if message is None:
+            self._working -= 1
+            return
+        if self.journal is not None:
+            self.journal.write(self.stage, *message)
+        self.deliver(*message)
 
 
 class AgreeingCrew(Crew):
@@ -140,39 +174,3 @@ class AgreeingCrew(Crew):
             super().share(task, tried, deliver)
             if met:
                 raise met[0]
-
-
-class _Results:
-    """The way of results to rank 0: into the journal, and to whom they are delivered."""
-
-    def __init__(self, crew, tag, task, deliver):
-        self.world, self.tag, self.deliver, self.journal = crew.world, tag, deliver, crew.journal
-        self.left, self._sent, self._working = list(range(len(task.units))), [], crew.groups
-        if self.journal is not None and self.world.rank == 0:
-            self.stage = self.journal.stage(tag, task.units, task.row)
-            finished = self.journal.kept(self.stage, task.row)
-            for position, rows in finished.items():
-                deliver(position, rows)
-            self.left = sorted(set(self.left).difference(finished))
-
-    def put(self, message):
-        """Hand in a unit's position and rows, or None after the last, on a group's first rank."""
-        if self.world.rank == 0:
-            self._take(message)
-            while self._working and (message is None or self.world.Iprobe(tag=self.tag)):
-                self._take(self.world.recv(tag=self.tag))
-        else:
-            self._sent = [request for request in self._sent if not request.Test()]
-            self._sent.append(self.world.isend(message, 0, tag=self.tag))
-            if message is None:
-                for request in self._sent:
-                    request.wait()
-
-    def _take(self, message):
-        """Keep and deliver the rows of a unit, or note that a group has no more, on rank 0."""
-        if message is None:
-            self._working -= 1
-            return
-        if self.journal is not None:
-            self.journal.write(self.stage, *message)
-        self.deliver(*message)

@@ -8,8 +8,8 @@ from pgran.run import machine
 SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # that ask a run to stop
 HELD = (*SIGNALS, signal.SIGINT)  # while a run starts
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
-ALONE = {"OMPI_MCA_ess_singleton_isolated": "1", "OMPI_MCA_pml": "ob1"}
 SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
+ALONE = {"OMPI_MCA_ess_singleton_isolated": "1", "OMPI_MCA_pml": "ob1"}
 
 
 def start():
@@ -35,12 +35,18 @@ def start():
 
 def rank():
     """Return the rank that this process was started as, 0 if it was started alone."""
-    return _first(RANKS, 0)
+    return _number(RANKS, 0)
 
 
 def size():
     """Return with how many ranks it was started, 1 if alone or unknown."""
-    return _first(SIZES, 1)
+    return _number(SIZES, 1)
+
+
+def _number(names, otherwise):
+    """Return the first of these variables that holds a number."""
+    texts = (os.environ.get(name, "") for name in names)
+    return next((int(text) for text in texts if text.isdigit()), otherwise)
 
 
 def library(MPI):
@@ -57,9 +63,3 @@ def strangers(MPI):
         f"mpirun started {size()} ranks that do not know of each other: it belongs to another MPI "
         f"than mpi4py ({library(MPI)})"
     )
-
-
-def _first(names, otherwise):
-    """Return the first of these variables that holds a number."""
-    numbers = (os.environ[name] for name in names if name in os.environ)
-    return next((int(number) for number in numbers if number.isdigit()), otherwise)
