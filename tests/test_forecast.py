@@ -14,7 +14,7 @@ import pytest
 from petsc4py import PETSc
 from samples import random_lattice, run_scene, steady
 
-from pgran.command import forecast, memory
+from pgran.command import forecast, medium
 from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError
 from pgran.experiments.modes import dense, find
@@ -44,7 +44,7 @@ def test_entries_of_a_factor(shape):
     with steady(random_lattice(shape), [[n // 2 for n in shape]]) as (_, solver):
         solver.solve(0.5j)
         found = solver.factor.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-    assert found / 1.7 < memory.dissection(shape) < found * 1.7
+    assert found / 1.7 < medium.dissection(shape) < found * 1.7
 
 
 @pytest.mark.parametrize(("axes", "kind"), [(2, "scalar"), (3, "scalar"), (3, "vector")])
@@ -63,7 +63,7 @@ def test_entries_and_nonzeros_of_a_network(axes, kind):
         ball = np.arange(network.size)
         held = np.where(ball > 0, 0, 2)
         chain = Network(np.stack([ball[:-1], ball[1:]], axis=1), np.ones(len(ball) - 1), held)
-        needed = [memory.lattice_memory(each, 1) for each in (network, chain)]
+        needed = [medium.lattice_memory(each, 1) for each in (network, chain)]
         assert needed[0] > 1.5 * needed[1]
 
 
@@ -206,9 +206,9 @@ def test_more_than_is_free_is_refused_before_work(call, place, monkeypatch, scen
 
 def test_what_does_not_fit_is_not_tried(world, monkeypatch):
     small, large = (random_lattice((n, n)) for n in (20, 300))
-    needed = memory.lattice_memory(small, 1)
-    assert memory.lattice_memory(small, 1, factored=False) < needed
-    assert memory.lattice_memory(large, 4) < 0.5 * memory.lattice_memory(large, 1)
+    needed = medium.lattice_memory(small, 1)
+    assert medium.lattice_memory(small, 1, factored=False) < needed
+    assert medium.lattice_memory(large, 4) < 0.5 * medium.lattice_memory(large, 1)
     monkeypatch.setattr(forecast, "free_memory", lambda: int(1.2 * needed))
     lines = foreseen(world, chosen("response"))
     assert "nothing was tried" in lines["warning"]

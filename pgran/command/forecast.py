@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pgran.command.memory import is_factored, lattice_memory
+from pgran.command.medium import is_factored, lattice_memory
 from pgran.command.resolve import opening, run_scene
 from pgran.medium.sample import make_lattice, ranks_per_lattice
 from pgran.run.crew import Crew

@@ -4,6 +4,7 @@ import logging
 import math
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,11 @@ from pgran.store.estimate import counted
 from pgran.store.si import FREQUENCIES_IN, LARGEST, SI, SMALLEST
 from pgran.store.text import read_measured
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pgran.store.record import Record
+
 log = logging.getLogger("pgran")
 
 NARROWEST, WIDEST = 60, 400  # mm
@@ -28,9 +34,18 @@ LAID_OVER = {"response": "modes", "pulse": "response"}  # and over what
 
 @called_right
 def plot(
-    result, output=None, modes=None, response=None, measured=None, units=None, width=None,
-    caption=False, measured_unit="absolute", measured_scale=1.0, labels=None,
-):  # fmt: skip
+    result: object,
+    output: str | os.PathLike | None = None,
+    modes: "ArrayLike | None" = None,
+    response: "Record | None" = None,
+    measured: str | os.PathLike | None = None,
+    units: tuple | None = None,
+    width: float | None = None,
+    caption: bool = False,
+    measured_unit: str = "absolute",
+    measured_scale: float = 1.0,
+    labels: list | None = None,
+) -> dict:
     """Return the figures of a result by their names, `plot("a.h5")["amplitude"]`; save them too.
 
     A network, or its file, is drawn by itself.
@@ -82,6 +97,13 @@ def plot(
         the data of `measured`.
     PgranError
         If there is no matplotlib.
+
+    Examples
+    --------
+    >>> places = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]
+    >>> network = pgran.Network([[0, 1], [1, 2]], [1.0, 2.0], [1, 0, 2], position=places)
+    >>> list(pgran.plot(network, width=85))
+    ['network']
     """
     given = result if isinstance(result, (list, tuple)) else [result]
     results = [result_of(each) for each in given]

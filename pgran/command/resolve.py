@@ -9,7 +9,6 @@ from pgran.errors import InputError
 from pgran.run.options import FILE, FILES, RUN, TEXT, Option, text_of
 from pgran.store.estimate import counted
 from pgran.store.paths import open_regular
-from pgran.store.si import SI
 
 SCENES = catalogue.EXPERIMENTS  # the facts of each by name, loaded as they are asked for
 
@@ -200,49 +199,13 @@ def run_scene(scene, options, world, crew):
 
 
 def opening(options, ranks, medium=None):
-    """Return in words what a run solves, and on how many ranks.
-
-    The medium is that of the run, of an ensemble its first sample; None where there is none.
-    """
+    """Return in words what a run solves, on which medium if on any, and on how many ranks."""
     of = getattr(options, f"{options.scene}_of", None)
     if medium is None:
-        facts = [*SCENES[options.scene].subject(options)]
+        facts = SCENES[options.scene].subject(options)
     else:
-        facts = [*(_lattice if options.network_file is None else _network)(options, medium)]
-        facts += medium.drive_in_words()
-        if of != "modes":  # samples keep no widths of theirs
-            facts.append(medium.law_in_words)
-        unit = SI.of(options).say("Hz", medium.omega_mx)
-        facts.append(f"omega_mx {medium.omega_mx:.6g}{unit}")
-    facts.append(counted(ranks, "rank"))
-    return f"{options.scene} of {f'{of} of ' if of else ''}{', '.join(facts)}"
+        from pgran.command.medium import facts_of
 
-
-def _network(options, network):
-    """Yield the facts of a network that was read."""
-    first, *others = options.network_file
-    yield f"{len(others) + 1} networks; {first}" if others else f"the network {first}"
-    loose = " without rattlers" * (options.network_rattlers == "remove")
-    balls, contacts = counted(len(network.free), "free ball"), counted(network.bonds, "contact")
-    yield f"{balls}{loose}, {contacts}"
-    moves = {"scalar": "scalar displacements", "vector": "vectors", "rotations": "rotations"}
-    where = "" if network.displacement == "scalar" else f" in {network.axes} dimensions"
-    yield moves[network.displacement] + where
-
-
-def _lattice(options, lattice):
-    """Yield the facts of a lattice, or of many."""
-    from pgran.medium.law import IN_WORDS, PARAMETERS
-
-    size, first = " x ".join(map(str, lattice.shape)), options.bonds_seed
-    values = {name: getattr(options, f"bonds_{name}") for name in (*PARAMETERS, "file")}
-    values |= {name: f"{value:g}" for name, value in values.items() if isinstance(value, float)}
-    bonds = "bonds " + IN_WORDS[options.bonds_law].format(**values).replace("$", "")
-    if options.scene == "ensemble":
-        samples = options.ensemble_samples
-        yield from (f"{samples} lattices of {size}", bonds)
-        yield f"seeds {first} to {first + samples - 1}"
-    else:
-        yield from (f"a {size} lattice", bonds)
-        if options.bonds_law != "file":
-            yield f"seed {first}"
+        facts = facts_of(options, medium)
+    what = f"{options.scene} of {f'{of} of ' if of else ''}"
+    return what + ", ".join([*facts, counted(ranks, "rank")])

@@ -175,7 +175,7 @@ def _compute(scene, options, words, world, started):
 
 def _check_room(options, medium, ranks, world):
     """Raise where the matrices and factors of a medium exceed the memory. Collective."""
-    from pgran.command.memory import is_factored, lattice_memory
+    from pgran.command.medium import is_factored, lattice_memory
 
     # modes take other factors, and pulses may be integrated
     of = getattr(options, f"{options.scene}_of", options.scene)

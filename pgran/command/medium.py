@@ -1,6 +1,10 @@
-"""The memory that a medium needs, foreseen before any of it is taken."""
+"""The medium of a run: what it is in words, and the memory that it needs, foreseen."""
 
 import math
+
+from pgran.medium.law import IN_WORDS, PARAMETERS
+from pgran.store.estimate import counted
+from pgran.store.si import SI
 
 # Of the entries that nested dissection predicts, a factor has this part: 1.2 of them for a chain,
 # .9 to .66 for 20 x 20 to 500 x 500, .73 to .61 for 6^3 to 15^3, .8 for 20^3.
@@ -8,6 +12,43 @@ FILLED = 0.75
 # Bytes for each entry of a factor, with room to work in; for each nonzero of K, of a lattice and of
 # a network; and for each ball in vectors. Shared by r ranks, each holds 1.3/r of a lattice.
 ENTRY_BYTES, NONZERO_BYTES, NETWORK_BYTES, VECTOR_BYTES, UNEVEN = 28, 90, 250, 400, 1.3
+
+
+def facts_of(options, medium):
+    """Yield in words what a run's medium is; of an ensemble it is the first sample."""
+    yield from (_lattice if options.network_file is None else _network)(options, medium)
+    yield from medium.drive_in_words()
+    if getattr(options, f"{options.scene}_of", None) != "modes":  # samples keep no widths of theirs
+        yield medium.law_in_words
+    yield f"omega_mx {medium.omega_mx:.6g}{SI.of(options).say('Hz', medium.omega_mx)}"
+
+
+def _network(options, network):
+    """Yield the facts of a network that was read."""
+    first, *others = options.network_file
+    yield f"{len(others) + 1} networks; {first}" if others else f"the network {first}"
+    loose = " without rattlers" * (options.network_rattlers == "remove")
+    balls, contacts = counted(len(network.free), "free ball"), counted(network.bonds, "contact")
+    yield f"{balls}{loose}, {contacts}"
+    moves = {"scalar": "scalar displacements", "vector": "vectors", "rotations": "rotations"}
+    where = "" if network.displacement == "scalar" else f" in {network.axes} dimensions"
+    yield moves[network.displacement] + where
+
+
+def _lattice(options, lattice):
+    """Yield the facts of a lattice, or of many."""
+    size, first = " x ".join(map(str, lattice.shape)), options.bonds_seed
+    values = {name: getattr(options, f"bonds_{name}") for name in (*PARAMETERS, "file")}
+    values |= {name: f"{value:g}" for name, value in values.items() if isinstance(value, float)}
+    bonds = "bonds " + IN_WORDS[options.bonds_law].format(**values).replace("$", "")
+    if options.scene == "ensemble":
+        samples = options.ensemble_samples
+        yield from (f"{samples} lattices of {size}", bonds)
+        yield f"seeds {first} to {first + samples - 1}"
+    else:
+        yield from (f"a {size} lattice", bonds)
+        if options.bonds_law != "file":
+            yield f"seed {first}"
 
 
 def dissection(shape):
