@@ -76,14 +76,9 @@ SMALL = "-lattice_shape 4,3"
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (f"response {SMALL} -detectors 2,1 -bonds_law constant -sweep_omega .3 -lattice_damping .1",
-         "response of a 4 x 3 lattice, bonds all 0.25, seed 1993, beta 0.1, omega_mx 1, "),
         (f"modes {SMALL} -bonds_law bimodal -bonds_kmax 1",
          "modes of a 4 x 3 lattice, bonds 1 with probability 0.5, else 0, seed 1993, "
          "beta 0.003, omega_mx 2, "),
-        (f"modes {SMALL} -bonds_law loguniform -bonds_kmin .1",
-         "modes of a 4 x 3 lattice, bonds log-uniform on [0.1, 0.25], seed 1993, "
-         "beta 0.003, omega_mx 1, "),
         (f"modes {SMALL} -bonds_law hertz -bonds_force 2 -bonds_hertz 4 -bonds_kmax .25",
          "modes of a 4 x 3 lattice, bonds by Hertz's law with c = 4, of exponential "
          "forces of mean 2, seed 1993, beta 0.003, omega_mx 1, "),
@@ -95,8 +90,6 @@ SMALL = "-lattice_shape 4,3"
         (f"ensemble {SMALL} -detectors 2,1 -ensemble_samples 3 -sweep_points 2",
          "ensemble of response of 3 lattices of 4 x 3, bonds uniform on [0, 0.25], "
          f"seeds 1993 to 1995, {BETA}"),
-        (f"sensitivity {SMALL} -detectors 2,1 -sweep_omega .3 -heat_factor 2",
-         f"sensitivity of a 4 x 3 lattice, bonds uniform on [0, 0.25], seed 1993, {BETA}"),
         ("continuum -sweep_points 3", "continuum of a homogeneous box of 1 x 1, beta 0.003, "),
     ],
 )  # fmt: skip
@@ -188,7 +181,6 @@ def test_trouble_after_the_result(call, shared_path, monkeypatch, name, replacem
 @pytest.mark.parametrize(
     ("words", "ranks", "parts"),
     [
-        ("run a.opts -sweep_point 3", 2, ["did you mean -sweep_points?"]),
         ("run a.opts -steady_ksp_type nonsense", 2, ["PETSc: ", "nonsense (KSPSetFromOptions())"]),
         ("run a.opts -steady_pc_factor_mat_solver_type nonsense", 0, ["PETSc: ", "(KSPSetUp())"]),
     ],
@@ -234,7 +226,7 @@ def shell(start):
     return lambda line: start("-o", "pipefail", "-c", line, program=["bash"], pgran=pgran)
 
 
-@pytest.mark.parametrize("words", ["options", "plot -h", "run a.opts -dry_run"])
+@pytest.mark.parametrize("words", ["plot -h", "run a.opts -dry_run"])
 def test_output_that_cannot_be_written(shell, words):
     """A full device is an error in a line; a pipe that nobody reads any more is none."""
     full = shell(f"$pgran {words} >/dev/full")
@@ -245,7 +237,7 @@ def test_output_that_cannot_be_written(shell, words):
 
 @pytest.mark.parametrize(
     ("stream", "progress"),
-    [("2>&-", "bar"), ("2>/dev/full", "bar"), ("<&- >&- 2>&-", "lines"), ("2> >(true)", "lines")],
+    [("2>&-", "bar"), ("<&- >&- 2>/dev/full", "lines"), ("2> >(true)", "lines")],
 )
 def test_a_run_that_nobody_listens_to(shell, shared_path, stream, progress):
     assert shell(f"$pgran run a.opts -output_progress {progress} {stream}").returncode == 0
@@ -318,7 +310,6 @@ def test_results_that_were_edited(call, shared_path, world, words, array):
     [
         (MemoryError(), 1, "MemoryError"),
         (RuntimeError("sabotage"), 1, "RuntimeError: sabotage"),
-        (KeyboardInterrupt(), 130, "interrupted"),
         (KeyboardInterrupt("interrupted; told"), 130, "interrupted; told"),
         (SystemExit(7), 7, "sys.exit(7)"),
         (FileError("lost"), 4, "lost"),
@@ -365,7 +356,7 @@ console()
 """
 
 
-@pytest.mark.parametrize(("number", "delay", "code"), [(2, 0, 130), (2, 0.03, 130), (15, 0.03, 75)])
+@pytest.mark.parametrize(("number", "delay", "code"), [(2, 0, 130), (15, 0.03, 75)])
 def test_a_signal_to_one_rank_while_mpi_starts(start, number, delay, code):
     """Before it is known to the others, and when they wait for it."""
     hit = HIT.replace("NUMBER", str(number)).replace("DELAY", str(delay))
@@ -394,10 +385,8 @@ AFTER, WITHIN = (
     ("planted", "where", "launcher", "code", "said"),
     [
         ("1 / 0", AFTER, [], 1, "ZeroDivisionError ends this script"),
-        ("raise KeyboardInterrupt", AFTER, ["-m", "mpi4py"], 130, "KeyboardInterrupt ends this"),
         ("sys.exit(3)", AFTER, ["-m", "mpi4py"], 3, "ended with exit code 3"),
         ("sys.exit(3)", WITHIN, [], 3, r"ended by sys\.exit\(3\)"),
-        ("raise GeneratorExit", WITHIN, [], 1, "GeneratorExit"),
     ],
 )
 def test_what_ends_a_script_on_one_rank_ends_all(start, planted, where, launcher, code, said):
@@ -411,18 +400,8 @@ def test_what_ends_a_script_on_one_rank_ends_all(start, planted, where, launcher
 
 
 def test_a_strict_ulimit_is_refused(start):
-    words = [
-        "timeout",
-        "-k",
-        "1",
-        "20",
-        "sh",
-        "-c",
-        'ulimit -v 400000; exec "$@"',
-        "sh",
-        sys.executable,
-    ]
-    done = start("run", "a.opts", program=[*words, "-m", "pgran"])
+    strict = ["sh", "-c", 'ulimit -v 400000; exec timeout -k 1 20 "$@"', "sh"]
+    done = start("run", "a.opts", program=[*strict, sys.executable, "-m", "pgran"])
     assert_one_line(done, 2, "ulimit -v 400000: too little memory", "it takes 524288, or unlimited")
 
 
