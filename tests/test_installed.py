@@ -10,10 +10,15 @@ import pgran
 import pgran.results
 from pgran import catalogue
 
-SCENE = '''
+LADDER = {
+    "__init__": """
+from pgran.catalogue import Home
+HOME = Home("pgran_ladder", {"rungs": "figures"})
+""",
+    "scene": """
 import numpy as np
 from pgran.medium.base import medium
-from pgran.run.experiment import Scene, in_parallel, PROGRESS, option, options_of, run_of
+from pgran.run.experiment import PROGRESS, Scene, in_parallel, option, options_of, run_of
 from pgran.run.task import Task, carry_out
 from pgran.store.record import columns_of, row_of
 from pgran_ladder.record import Rungs
@@ -25,68 +30,57 @@ class Climb(Task):
         self.lattice, self.units = lattice, range(1, rungs + 1)
 
     def work(self, unit, group):
-        rows = np.zeros(1, self.row)
-        rows["omega"] = unit * self.lattice.omega_mx
-        return rows
+        return np.full(1, unit * self.lattice.omega_mx).astype(self.row)
 
     def collect(self, rows, seconds):
         return Rungs(**columns_of(Rungs, rows))
 
 @in_parallel("ladder", lattice=medium)
 def climb(lattice, crew=None, *, rungs=option(4, "how many", low=1), progress=PROGRESS) -> Rungs:
-    """Climb a ladder whose rungs are omega_mx apart."""
+    '''Climb a ladder whose rungs are omega_mx apart.'''
     return carry_out(Climb(lattice, rungs), crew, progress)
 
-def summary(result):
-    yield f"{len(result.rungs.omega)} rungs"
-
-SCENE = Scene(options_of(climb), run_of(climb), summary)
-'''
-RECORD = '''
+SCENE = Scene(options_of(climb), run_of(climb), lambda found: [f"{len(found.rungs.omega)} rungs"])
+""",
+    "record": """
 from dataclasses import dataclass
 import numpy as np
 from pgran.store.record import Record, array
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rungs(Record):
-    """The rungs."""
-
     group = "rungs"
     omega: np.ndarray = array("height", "sqrt(k/m)", row=True)
-'''
-FIGURES = """
+""",
+    "figures": """
 from pgran.draw import style
 
 def figures(result, **_):
-    figure = style.stack([rungs], ["The rungs."], rungs=result.rungs)
-    yield "rungs", figure
-
-def rungs(ax, rungs):
-    return ax.plot(rungs.omega)
-"""
-HOME = 'from pgran.catalogue import Home\nHOME = Home("pgran_ladder", {"rungs": "figures"})\n'
-LADDER = {"__init__": HOME, "scene": SCENE, "record": RECORD, "figures": FIGURES}
+    draw = lambda ax, rungs: ax.plot(rungs.omega)
+    yield "rungs", style.stack([draw], ["The rungs."], rungs=result.rungs)
+""",
+}
 RUN = "-scene ladder -lattice_shape 3,2 -output_progress none"
 
 
 @pytest.fixture
 def install(place, shared_path, world, monkeypatch):
-    """Return what installs a package of modules, and the experiments that it declares."""
+    """Return what installs a package of these modules, and an entry point of a name and a value."""
     tables = catalogue.RECORDS, catalogue.FIGURES
     before = [dict(table) for table in tables]
     monkeypatch.setattr(catalogue.EXPERIMENTS, "_homes", dict(catalogue.OURS))
     monkeypatch.setattr(catalogue.EXPERIMENTS, "_complete", False)
     monkeypatch.syspath_prepend(shared_path)
 
-    def install(modules, **experiments):
+    def install(modules, name="ladder", value="pgran_ladder:HOME"):
         if world.rank == 0:
             for folder in ("pgran_ladder", "ladder-1.dist-info"):
                 (shared_path / folder).mkdir()
-        for name, text in modules.items():
-            place(f"pgran_ladder/{name}.py", text)
-        lines = [f"{name} = {value}" for name, value in experiments.items()]
+        for module, text in modules.items():
+            place(f"pgran_ladder/{module}.py", text)
         place("ladder-1.dist-info/METADATA", "Name: ladder\nVersion: 1\n")
-        place("ladder-1.dist-info/entry_points.txt", "\n".join(["[pgran.experiments]", *lines, ""]))
+        place("ladder-1.dist-info/entry_points.txt", f"[pgran.experiments]\n{name} = {value}\n")
+        place("ladder.opts", RUN)
         importlib.invalidate_caches()
 
     yield install
@@ -97,60 +91,49 @@ def install(place, shared_path, world, monkeypatch):
         del sys.modules[name]
 
 
-def test_an_installed_experiment_is_as_one_of_pgran(install, call, place, world):
-    install(LADDER, ladder="pgran_ladder:HOME")
-    place("ladder.opts", RUN)
-    done = call("run", "ladder.opts", "-ladder_rungs", "3", "-output_file", "a.h5")
+def test_an_installed_experiment_is_as_one_of_pgran(install, call, world):
+    install(LADDER)
+    words = "run", "ladder.opts", "-ladder_rungs", "3"
+    done = call(*words, "-output_file", "a.h5")
     assert (done.returncode, "3 rungs" in done.stderr) == (0, True), done.stderr
-    assert "3 rungs" in call("run", "ladder.opts", "-ladder_rungs", "3", "-dry_run").stdout
+    assert "3 rungs" in call(*words, "-dry_run").stdout
     assert "-ladder_rungs" in call("options", "ladder").stdout
-    assert "ladder" in call("options").stdout
-    assert "give another name" not in call("run", "ladder.opts", "-ladder_rung", "3").stderr
-    if world.rank == 0:
+    assert "only of ladder" in call("options").stdout
+    assert "mean -ladder_rungs?" in call("run", "ladder.opts", "-ladder_rung", "3").stderr
+    if world.size == 1:
+        assert call("verify", "a.h5").returncode == call("export", "a.h5", "a.csv").returncode == 0
         result = pgran.load("a.h5")
         assert type(result.rungs) is pgran.results.Rungs
         assert np.array_equal(result.rungs.omega, np.arange(1, 4) * result.medium.omega_mx)
-        assert call_alone("verify", "a.h5") == call_alone("export", "a.h5", "a.csv") == 0
-        assert list(pgran.plot("a.h5", "a.png")) == ["rungs"]
-
-
-def call_alone(*words):
-    """The exit code of a command that has nothing to do with ranks."""
-    from pgran.__main__ import main
-
-    return main([*words])
+        assert list(pgran.plot(result)) == ["rungs"]
 
 
 @pytest.mark.parametrize(
-    ("modules", "experiments", "said"),
+    ("modules", "point", "said"),
     [
-        (LADDER, {"modes": "pgran_ladder:HOME"}, "there is one of this name already"),
-        (LADDER, {"ladder": "pgran_ladder:scene"}, "no attribute 'scene'"),
-        (LADDER | {"scene": "import nothing_there"}, {"ladder": "pgran_ladder:HOME"}, "No module"),
-        (LADDER | {"__init__": "HOME = 3"}, {"ladder": "pgran_ladder:HOME"}, "no pgran.catalogue"),
-        (LADDER | {"record": ""}, {"ladder": "pgran_ladder:HOME"}, "declares no record"),
-        (
-            LADDER | {"__init__": HOME.replace("rungs", "modes")},
-            {"ladder": "pgran_ladder:HOME"},
-            "results called modes already",
-        ),
+        ({}, ["modes", "pgran_ladder:HOME"], "there is one of this name already"),
+        ({}, ["ladder", "pgran_ladder:PLACE"], "no attribute 'PLACE'"),
+        ({"scene": "import nothing_there"}, [], "No module named 'nothing_there'"),
+        ({"__init__": "HOME = 3"}, [], "pgran_ladder:HOME is no pgran.catalogue.Home"),
+        ({"__init__": "raise SystemExit"}, [], "SystemExit"),
+        ({"record": ""}, [], "pgran_ladder.record declares no record of the group rungs"),
+        ({"__init__": LADDER["__init__"].replace("rungs", "modes")}, [], "called modes already"),
     ],
 )
-def test_what_cannot_be_used_is_said_and_left_out(install, call, place, modules, experiments, said):
-    install(modules, **experiments)
-    place("ladder.opts", RUN)
+def test_what_cannot_be_used_is_said_and_left_out(install, call, modules, point, said):
+    install(LADDER | modules, *point)
     done = call("run", "ladder.opts")
-    (name,) = experiments
     assert done.returncode == 2
-    assert f"no experiment {name} of ladder: " in done.stderr
+    assert f"no experiment {(point or ['ladder'])[0]} of ladder: " in done.stderr
     assert said in done.stderr
-    assert "-scene ladder" in done.stderr
+    assert "-scene ladder (ladder.opts, line 1): choose accuracy, " in done.stderr
     assert call("run", "a.opts").returncode == 0
 
 
 def test_nobody_looks_for_packages_without_need(install, call, monkeypatch):
-    install(LADDER | {"__init__": "raise SystemExit"}, ladder="pgran_ladder:HOME")
+    """Nor where a key is one of another scene, or a result of pgran's is read."""
+    install(LADDER)
     monkeypatch.setattr(catalogue.Experiments, "_add_installed", None)
     assert call("run", "a.opts").returncode == 0
-    assert call("plot", "results/a.h5").returncode == 0
+    assert pgran.load("results/a.h5").response
     assert call("run", "a.opts", "-relax_steps", "3").returncode == 2
