@@ -6,8 +6,6 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pgran import catalogue
 from pgran.arguments import called_right
 from pgran.command.export import blaming_edits, result_of
@@ -250,6 +248,8 @@ def run(words):
 
 def _pair(*results):
     """Return the number of the one that is drawn, and what is laid over: its name, its record."""
+    import numpy as np  # late: `pgran --help` loads nothing
+
     for place, drawn in enumerate(results if len(results) == 2 else ()):
         over = results[1 - place]
         for group, name in LAID_OVER.items():

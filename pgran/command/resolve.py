@@ -51,7 +51,7 @@ def resolve(given, output_file=None):
     scene, where = last["scene"].text, last["scene"].where
     if scene not in catalogue.OURS:
         scene = scene_option().read(scene, where)
-    of = repeating = _repeating_option(scene)
+    of, repeating = None, _repeating_option(scene)
     if repeating:
         item = last.get(repeating.name)
         of = repeating.read(item.text, item.where) if item else repeating.default
