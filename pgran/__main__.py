@@ -15,7 +15,6 @@ from pgran import errors
 from pgran.arguments import meant, nearest, saying_once
 from pgran.errors import FileError, InputError, PgranError, explain, is_petsc
 from pgran.run import launch, machine, streams
-from pgran.run.agreement import SECONDS_FOR_MPIRUN, met_by_all
 
 log = logging.getLogger("pgran")
 
@@ -107,13 +106,15 @@ def end_all_ranks(error):
 
     What all ranks meet the first one reports, anything else whoever has met it.
     """
+    from pgran.run import agreement  # here: most commands do without
+
     code, text = explain(error)
     mpi = sys.modules.get("mpi4py.MPI")
     running = mpi and mpi.Is_initialized() and not mpi.Is_finalized()
     world = mpi.COMM_WORLD if running and mpi.COMM_WORLD.size > 1 else None
     try:
         if world is not None:
-            if not met_by_all(world):
+            if not agreement.met_by_all(world):
                 streams.name_rank(world)
             elif world.rank > 0:  # the first one ends all
                 text = None
@@ -130,7 +131,7 @@ def end_all_ranks(error):
             sys.stdout.flush()
     finally:  # whatever else goes wrong: no rank must be left waiting
         if world is not None:
-            time.sleep(SECONDS_FOR_MPIRUN)
+            time.sleep(agreement.SECONDS_FOR_MPIRUN)
             world.Abort(code)
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down
