@@ -1,4 +1,7 @@
-"""Options that cannot be, alone or together: each is refused in a line that names it."""
+"""Options that cannot be, alone or together: each is refused in a line that names it.
+
+And says what was meant, where that can be guessed.
+"""
 
 import re
 
@@ -8,8 +11,28 @@ from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.run.options import read_words
 
+MEANT = r"{}: unknown option; did you mean -{}\? \(pgran options response lists all\)$"
 REFUSED = {  # of each scene, words and what is said of them
+    "respons": {"": "did you mean response?"},
     "response": {
+        "-n 2": "-n: ranks are started by mpirun -n N pgran run",
+        "-latice_shape 1": MEANT.format("-latice_shape", "lattice_shape"),
+        "-detector 1": MEANT.format("-detector", "detectors"),
+        "-o 1": MEANT.format("-o", "output_file"),
+        "-pc_mg_levels 1": MEANT.format("-pc_mg_levels", "steady_pc_mg_levels"),
+        "-eps_tol 1": MEANT.format("-eps_tol", "normal_eps_tol"),
+        "-qqqqqqq 1": r"-qqqqqqq: unknown option \(pgran options response lists all\)$",
+        "-steady_ 1": r"-steady_: unknown option \(pgran options response lists all\)$",
+        # numbers that are written otherwise
+        "-lattice_shape 20x30": r"did you mean 20,30\?$",
+        "-detectors (1,2)": r"did you mean 1,2\?$",
+        "-detectors 1,2;3,4": r"did you mean 1,2,3,4\?$",
+        "-sweep_points 1.5e3": r"did you mean 1500\?$",
+        "-sweep_min 0,5": r"did you mean 0.5\?$",
+        "-sweep_min .1Hz": r"a number \(unit: angular\)$",
+        f"-sweep_points {'9' * 30}": "too large$",
+        "-sweep_points 1.5e0": "a whole number$",
+        # what does not go together
         "-lattice_shape 2,2,2,2": "-lattice_shape",
         "-phase_fit_min 1": "-phase_fit_min",
         "-sweep_min 1 -sweep_max 1": "-sweep_min",
@@ -85,6 +108,11 @@ REFUSED = {  # of each scene, words and what is said of them
         "-ensemble_keep curves -statistics_windows .4,.5 -ensemble_samples 7": "8 samples or more",
     },
 }
+
+
+def test_a_scene_is_missing():
+    with pytest.raises(InputError, match="-scene is missing: choose accuracy, "):
+        resolve(read_words(["-lattice_shape", "3,3"]))
 
 
 @pytest.mark.parametrize(

@@ -154,12 +154,6 @@ def test_without_any_package(start):
     assert "Traceback" not in done.stdout + done.stderr + run.stderr
 
 
-def test_ranks_speak_with_one_voice(start):
-    done = start("doctor", ranks=2)
-    assert done.returncode == 0
-    assert done.stdout.count("ok    Python") == 1
-
-
 def test_ranks_that_do_not_know_of_each_other(start, call, monkeypatch):
     """As Open MPI's mpirun starts a program of another MPI: n copies, each on its own."""
     said = "3 ranks that do not know of each other"

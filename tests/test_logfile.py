@@ -38,11 +38,11 @@ def test_a_log_says_what_the_terminal_says(call, place, shared_path, world):
 
 
 def test_errors_are_logged(start, shared_path):
-    fault = [sys.executable, *inject.words(inject.UNIT, "raise RuntimeError('planted')", rank=2)]
-    done = start("run", "a.opts", "-output_log", "logs/a.log", ranks=3, program=fault)
+    fault = [sys.executable, *inject.words(inject.UNIT, "raise RuntimeError('planted')", rank=1)]
+    done = start("run", "a.opts", "-output_log", "logs/a.log", ranks=2, program=fault)
     assert done.returncode == 1
     last = lines_of(shared_path / "logs" / "a.log")[-1]
-    assert last == "pgran (rank 2): error: RuntimeError: planted"
+    assert last == "pgran (rank 1): error: RuntimeError: planted"
 
 
 def test_a_log_is_refused_before_any_work(call, place, shared_path, world):

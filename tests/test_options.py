@@ -89,6 +89,11 @@ def test_default_is_possible(option):
         assert (found, type(found)) == (option.default, type(option.default))
 
 
+def test_what_a_scene_has_not():
+    with pytest.raises(AttributeError, match="scene response has no option -relax_steps"):
+        options("-scene response").relax_steps  # noqa: B018
+
+
 def test_flags():
     """Words for yes and no, in any case."""
     for word in ("", "true", "YES", "1", "on", "no", "0", "Off"):
@@ -102,44 +107,6 @@ def test_more_than_fits_into_memory():
         make_lattice(asked, None)
     with pytest.raises(InputError, match=r"-sweep_points: too much: .* this machine has .* GB"):
         driving_frequencies(asked)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "meant"),
-    [
-        ("lattice_shape", "20x30", "did you mean 20,30?"), ("detectors", "(1, 2)", "mean 1,2?"),
-        ("detectors", "1,2;3,4", "mean 1,2,3,4?"), ("sweep_points", "1.5e3", "mean 1500?"),
-        ("sweep_min", "0,5", "mean 0.5?"), ("sweep_min", ".1Hz", "a number (unit: angular)"),
-        ("sweep_points", "9" * 30, "too large"), ("sweep_points", "1.5e0", "a whole number"),
-    ],
-)  # fmt: skip
-def test_a_number_written_otherwise_is_told_how(name, text, meant):
-    option = next(option for option in OPTIONS if option.name == name)
-    with pytest.raises(InputError, match=f"{re.escape(meant)}$"):
-        option.read(text)
-
-
-@pytest.mark.parametrize(
-    ("key", "meant"),
-    [
-        ("latice_shape", "lattice_shape"), ("detector", "detectors"), ("qqqqqqq", None),
-        ("o", "output_file"), ("pc_mg_levels", "steady_pc_mg_levels"),
-        ("eps_tol", "normal_eps_tol"), ("steady_", None),
-    ],
-)  # fmt: skip
-def test_unknown_keys_suggest_the_nearest(key, meant):
-    message = refusal(f"-scene response -{key} 1", key)
-    hint = f"; did you mean -{meant}?" if meant else ""
-    assert message == f"-{key}: unknown option{hint} (pgran options response lists all)"
-
-
-def test_missing_and_wrong_scene():
-    """Nor are ranks an option."""
-    assert "mpirun -n N" in refusal("-scene response -n 2", "n")
-    assert "-scene is missing" in refusal("-lattice_shape 3,3", "scene")
-    assert "did you mean response?" in refusal("-scene RESPONS", "scene")
-    with pytest.raises(AttributeError, match="scene response has no option -relax_steps"):
-        options("-scene response").relax_steps  # noqa: B018
 
 
 @pytest.mark.parametrize("scene", SCENES)
