@@ -311,20 +311,18 @@ LATTICE, SITES = random_lattice((7, 6), 3), (3, 3, 6, 0)
 OMEGAS = np.linspace(0.05, 1.2, 70)
 SCENES = {
     "response": lambda crew: sweep(LATTICE, OMEGAS, SITES, crew, method="points", fields=True),
-    "response, curve": lambda crew: sweep(
-        random_lattice((12, 10), 3), OMEGAS, SITES, crew, method="curve"
-    ),
+    "response, curve": lambda crew: sweep(LATTICE, OMEGAS, SITES, crew, method="curve"),
     "modes": lambda crew: find_modes(random_lattice((24, 20), 4), crew, shapes=True),
     "modes, counted": lambda crew: count_modes(LATTICE, OMEGAS[::9], crew),
     "projection": lambda crew: project(LATTICE, OMEGAS, crew),
-    "pulse": lambda crew: pulse(LATTICE, SITES, crew, time=300, method="laplace"),
+    "pulse": lambda crew: pulse(LATTICE, SITES, crew, width=4.0, time=90, method="laplace"),
     # with steps that are halved again and again
     "pulse, integrated": lambda crew: pulse(
         LATTICE, SITES, crew, time=300, method="integrate", error_tolerance=1e-9, fields=True,
         solver={"pulse_ts_adapt_type": "none", "pulse_ts_dt": 1},
     ),
     "relaxation": lambda crew: relax(
-        LATTICE, BondLaw("uniform"), 0.6, (3, 3), crew, steps=2600, trajectories=2, window=16
+        LATTICE, BondLaw("uniform"), 0.6, (3, 3), crew, steps=1100, trajectories=2, window=16
     ),
     "heat, growing balls": lambda crew: grow(crew),
 }  # fmt: skip
