@@ -52,7 +52,7 @@ class Scene:
     decides: tuple = ()  # options of the scene that it repeats, by -NAME_of, which it has not
 
 
-# -- what keywords declare
+# What keywords declare
 
 
 def option(default, meaning, unit="", *, key="", kind=None, **limits):
@@ -143,7 +143,7 @@ def run_of(function):
     return run
 
 
-# -- the function of an experiment, in a notebook and under mpirun
+# The function of an experiment, in a notebook and under mpirun
 
 
 def in_parallel(prefix="", shares_lattice=False, solver=True, **arguments):
@@ -244,7 +244,7 @@ def _holding(keys):
     return holding_solver(keys)
 
 
-# -- what `help` shows
+# What `help` shows
 
 # What functions take besides keywords that are options, unless their docstrings say it themselves.
 SHARED = {

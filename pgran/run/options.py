@@ -215,7 +215,7 @@ def check_ends(name, values):
         raise InputError(f"-{name}_min: {low:g} is not below -{name}_max, {high:g}")
 
 
-# -- what gives options: files, command lines, and PETSC_OPTIONS
+# What gives options: files, command lines, and PETSC_OPTIONS
 
 ENVIRONMENT = " (PETSC_OPTIONS)"
 LONGEST_FILE = 2**20  # bytes of an options file
@@ -302,7 +302,7 @@ def read_environment():
     return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), ENVIRONMENT)
 
 
-# -- hints: what was meant
+# What was meant by what is wrong
 
 # What other programs' files begin a comment with, and what others write instead of a dash.
 COMMENTS, DASHES = ("//", "/*", "%", ";", "!"), tuple("\u2010\u2011\u2013\u2014\u2212")
