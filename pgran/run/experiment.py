@@ -7,7 +7,6 @@ declares the keyword `omega` and the option `-pulse_omega`: type, default, unit,
 The body sees plain values, checked as the command line checks them; `help` shows all of it.
 """
 
-import contextlib
 import dataclasses
 import functools
 import inspect
@@ -159,12 +158,17 @@ def in_parallel(prefix="", shares_lattice=False, solver=True, **arguments):
     """
 
     def decorate(function):
-        declared = _declarations(function, prefix, arguments)
+        declared = {name: asked for name, asked in arguments.items() if hasattr(asked, "of_run")}
+        parameters = []
+        for name, parameter in inspect.signature(function).parameters.items():
+            asked = parameter.default
+            if isinstance(asked, Option) and not asked.name:
+                asked = dataclasses.replace(asked, name=f"{prefix}_{name}")
+            if hasattr(asked, "of_run"):
+                declared[name] = asked
+                parameter = parameter.replace(default=asked.default)
+            parameters.append(parameter)
         checks = {name: getattr(d, "check", d) for name, d in (declared | arguments).items()}
-        parameters = [
-            p.replace(default=p.default.default) if hasattr(p.default, "check") else p
-            for p in inspect.signature(function).parameters.values()
-        ]
         if solver:
             checks["solver"] = _solver_keys
             keyword = inspect.Parameter.KEYWORD_ONLY
@@ -183,7 +187,12 @@ def in_parallel(prefix="", shares_lattice=False, solver=True, **arguments):
         def carry_out(call, **crew):
             call.apply_defaults()
             call.arguments |= crew
-            with _holding(call.arguments.pop("solver", None)):
+            keys = call.arguments.pop("solver", None)
+            if not keys:  # what has none does without PETSc
+                return function(*call.args, **call.kwargs)
+            from pgran.run.keys import holding_solver
+
+            with holding_solver(keys):
                 return function(*call.args, **call.kwargs)
 
         @functools.wraps(function)
@@ -216,32 +225,11 @@ def in_parallel(prefix="", shares_lattice=False, solver=True, **arguments):
     return decorate
 
 
-def _declarations(function, prefix, arguments):
-    """Return what `arguments`, and the defaults of a function, declare, by their names."""
-    declared = {name: asked for name, asked in arguments.items() if hasattr(asked, "of_run")}
-    for name, parameter in inspect.signature(function).parameters.items():
-        default = parameter.default
-        if isinstance(default, Option) and not default.name:
-            default = dataclasses.replace(default, name=f"{prefix}_{name}")
-        if hasattr(default, "of_run"):
-            declared[name] = default
-    return declared
-
-
 def _solver_keys(keys):
     """Return the keys of a dict for solvers, checked."""
     from pgran.run.keys import solver_keys_of
 
     return solver_keys_of(keys)
-
-
-def _holding(keys):
-    """Return a context in which keys hold for solvers; what has none does without PETSc."""
-    if not keys:
-        return contextlib.nullcontext()
-    from pgran.run.keys import holding_solver
-
-    return holding_solver(keys)
 
 
 # What `help` shows
