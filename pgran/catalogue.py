@@ -80,26 +80,26 @@ class Experiments(Mapping):
     """All experiments by name; see above when those of installed packages are among them."""
 
     def __init__(self):
-        self._homes, self._complete = dict(OURS), False
+        self._homes, self._looked = dict(OURS), False
 
     def __getitem__(self, name):
         if name not in self._homes:
-            self._add_installed()
+            self.complete()
         return self._homes[name]
 
     def __iter__(self):
-        self._add_installed()
+        self.complete()
         return iter(self._homes)
 
     def __len__(self):
         return len(list(iter(self)))
 
-    def _add_installed(self):
-        """Add what installed packages have; what cannot be used is said, and left out."""
+    def complete(self):
+        """Look, once, for what installed packages have; what cannot be used is said, left out."""
         from importlib import metadata
 
-        found = () if self._complete else metadata.entry_points(group=ENTRY_POINTS)
-        self._complete = True
+        found = () if self._looked else metadata.entry_points(group=ENTRY_POINTS)
+        self._looked = True
         for entry in sorted(found, key=lambda entry: entry.name):
             try:
                 self._homes[entry.name] = self._loaded(entry)

@@ -10,9 +10,15 @@ from importlib import import_module
 from pgran.catalogue import EXPERIMENTS, FIGURES
 
 __path__ = []  # a package, of modules that are loaded: `import pgran.figures.response`
+MODULES = {"style": "pgran.draw.style", "together": "pgran.draw.together"} | FIGURES
 
-len(EXPERIMENTS)  # those of installed packages, too
-for _name, _module in {
-    "style": "pgran.draw.style", "together": "pgran.draw.together", **FIGURES
-}.items():  # fmt: skip
-    globals()[_name] = sys.modules[f"{__name__}.{_name}"] = import_module(_module)
+for _name, _module in MODULES.items():
+    if _module.startswith("pgran."):
+        globals()[_name] = sys.modules[f"{__name__}.{_name}"] = import_module(_module)
+
+
+def __getattr__(name):
+    EXPERIMENTS.complete()
+    if name not in FIGURES:
+        raise AttributeError(f"module pgran.figures has no attribute {name!r}")
+    return import_module(FIGURES[name])  # of an installed package

@@ -14,5 +14,5 @@ def __getattr__(name):
             kind = getattr(import_module(module), name, None)
             if hasattr(kind, "group"):
                 return kind
-        len(EXPERIMENTS)
+        EXPERIMENTS.complete()
     raise AttributeError(f"module pgran.results has no attribute {name!r}")

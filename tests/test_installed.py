@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import pgran
+import pgran.figures
 import pgran.results
 from pgran import catalogue
 
@@ -69,7 +70,7 @@ def install(place, shared_path, world, monkeypatch):
     tables = catalogue.RECORDS, catalogue.FIGURES
     before = [dict(table) for table in tables]
     monkeypatch.setattr(catalogue.EXPERIMENTS, "_homes", dict(catalogue.OURS))
-    monkeypatch.setattr(catalogue.EXPERIMENTS, "_complete", False)
+    monkeypatch.setattr(catalogue.EXPERIMENTS, "_looked", False)
     monkeypatch.syspath_prepend(shared_path)
 
     def install(modules, name="ladder", value="pgran_ladder:HOME"):
@@ -106,6 +107,7 @@ def test_an_installed_experiment_is_as_one_of_pgran(install, call, world):
         assert type(result.rungs) is pgran.results.Rungs
         assert np.array_equal(result.rungs.omega, np.arange(1, 4) * result.medium.omega_mx)
         assert list(pgran.plot(result)) == ["rungs"]
+        assert pgran.figures.rungs.__name__ == "pgran_ladder.figures"
 
 
 @pytest.mark.parametrize(
@@ -133,7 +135,7 @@ def test_what_cannot_be_used_is_said_and_left_out(install, call, modules, point,
 def test_nobody_looks_for_packages_without_need(install, call, monkeypatch):
     """Nor where a key is one of another scene, or a result of pgran's is read."""
     install(LADDER)
-    monkeypatch.setattr(catalogue.Experiments, "_add_installed", None)
+    monkeypatch.setattr(catalogue.Experiments, "complete", None)
     assert call("run", "a.opts").returncode == 0
     assert pgran.load("results/a.h5").response
     assert call("run", "a.opts", "-relax_steps", "3").returncode == 2
