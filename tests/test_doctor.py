@@ -1,5 +1,6 @@
 """What `pgran doctor` finds: each finding is made to fire, by fakes of what it looks at."""
 
+import ast
 import os
 import re
 import shutil
@@ -152,6 +153,14 @@ def test_without_any_package(start):
     assert run.returncode == 1
     assert re.search(r"No module named '\w+': pgran doctor", run.stderr)
     assert "Traceback" not in done.stdout + done.stderr + run.stderr
+
+
+def test_old_pythons_can_read_what_the_doctor_loads(start):
+    """Which tells them that they are too old."""
+    code = "import sys; from pgran.command import doctor; import pgran.__main__; "
+    code += "print(*(m.__file__ for n, m in sys.modules.items() if n.startswith('pgran')))"
+    for path in start(program=[sys.executable, "-c", code]).stdout.split():
+        ast.parse(Path(path).read_text(), feature_version=(3, 7))
 
 
 def test_ranks_that_do_not_know_of_each_other(start, call, monkeypatch):

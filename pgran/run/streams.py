@@ -14,7 +14,6 @@ import time
 from pathlib import Path
 
 from pgran.errors import FileError
-from pgran.store.paths import try_beside, writing
 
 STAMP = "%Y-%m-%dT%H:%M:%S%z"
 OURS = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4} pgran[ :]")
@@ -77,6 +76,8 @@ class LogFile(logging.FileHandler):
     """Appends messages to a file, a stamp before each line; what cannot be written ends no run."""
 
     def __init__(self, path, rank):
+        from pgran.store.paths import writing
+
         self.speaker = f"pgran (rank {rank})" if rank else "pgran"
         with writing(path):
             super().__init__(path, encoding="utf-8", errors="replace")
@@ -96,6 +97,8 @@ class LogFile(logging.FileHandler):
 
 def check_log(path, make=True):
     """Raise a FileError unless a log can be appended to `path`; make its folder if asked to."""
+    from pgran.store.paths import try_beside, writing
+
     path = Path(path)
     with writing(path):
         if path.is_dir():
