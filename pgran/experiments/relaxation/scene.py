@@ -123,6 +123,8 @@ def summary(result):
 
 def run(lattice, options, crew):
     """Return the relaxation, its spectrum and memory; see `pgran.run.experiment.Scene`."""
+    import scipy.signal  # noqa: F401 (which spectra take: a missing one is said before the work)
+
     relaxation = call(relax, options, crew, lattice)
     if relaxation is None or crew.dry:
         return relaxation and [relaxation]
