@@ -37,7 +37,7 @@ from pgran.driven.certify import smallest_damping, smallest_loss, smallest_stiff
 from pgran.driven.counting import ModeCounter
 from pgran.driven.inertia import complex_matrix
 from pgran.driven.linear import FACTORIZATIONS
-from pgran.driven.owner import Owner
+from pgran.driven.operators import Owner
 from pgran.driven.singular import least_estimate, proven_least
 from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 from pgran.medium.law import unit_numbers
@@ -77,7 +77,7 @@ class ErrorBounds(Owner):
     def _signs(self):
         """A random sign for each of this rank's balls."""
         signs = np.where(unit_numbers(0, 0, self.operators.size) < 0.5, -1.0, 1.0)
-        return self.operators.layout.rows(signs.reshape(self.operators.shape))
+        return self.operators.layout.free_values(signs.reshape(self.operators.shape))
 
     def stability(self, s):
         """Return a c with |S x|_2 >= c |x|_2 for every x; 0 if none is certain."""

@@ -5,7 +5,7 @@ from mpi4py import MPI
 
 from pgran.driven.counting import ModeCounter
 from pgran.driven.inertia import RealFactors
-from pgran.driven.layout import NetworkLayout
+from pgran.driven.operators import NetworkLayout
 from pgran.medium.springs import norm_of
 from pgran.run.petsc import PETSc
 

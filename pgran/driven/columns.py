@@ -7,8 +7,7 @@ from mpi4py import MPI
 
 from pgran.driven.deformation import squares
 from pgran.driven.linear import LEAST_NORM
-from pgran.driven.operators import SAME
-from pgran.driven.owner import Owner
+from pgran.driven.operators import SAME, Owner
 
 COLUMNS = 32  # right-hand sides solved for at once
 

@@ -20,7 +20,7 @@ import numpy as np
 from mpi4py import MPI
 
 from pgran.driven.linear import make_ksp, set_up
-from pgran.driven.owner import Owner
+from pgran.driven.operators import Owner
 from pgran.medium.base import SMALLEST_NORMAL
 from pgran.run.petsc import PETSc
 

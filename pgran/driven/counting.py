@@ -11,8 +11,7 @@ from mpi4py import MPI
 
 from pgran.driven.inertia import RealFactors, real_matrix
 from pgran.driven.linear import accept_small_pivots
-from pgran.driven.operators import SAME
-from pgran.driven.owner import Owner
+from pgran.driven.operators import SAME, Owner
 from pgran.run.petsc import PETSc
 
 SLOW = 0.05  # seconds of a lattice's factorization from which SuperLU's dense blocks are faster

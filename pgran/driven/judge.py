@@ -10,7 +10,7 @@ from pgran.driven.accurate import is_accurate
 from pgran.driven.bounds import ErrorBounds
 from pgran.driven.comparison import Comparison
 from pgran.driven.linear import LEAST_NORM
-from pgran.driven.owner import Owner
+from pgran.driven.operators import Owner
 from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 from pgran.run.petsc import PETSc
 

@@ -9,7 +9,7 @@ import math
 
 from mpi4py import MPI
 
-from pgran.driven.owner import Owner
+from pgran.driven.operators import Owner
 from pgran.run.petsc import PETSc, solved
 
 FACTORIZATIONS, INCOMPLETE = ("lu", "cholesky"), ("ilu", "icc")

@@ -1,35 +1,82 @@
 """One system for everything: S(s) = K + s beta C + s^2 m, with K = B^T diag(k) B and C = B^T B.
 
-B has a row for each bond: what lengthens it. Loss angles make k complex, drag adds to C's diagonal
-(`pgran.medium.dissipation`). Walls are no unknowns; the driven one's bonds give the drive f(s), the
-sum of k + s beta at their balls, a push a constant one (`pgran.medium.source`). All
-matrices share one nonzero pattern, so that S is combined anew for each s without assembly, and
-factored symbolically only once. How unknowns are numbered and shared out, and which of them a bond
-joins, a layout knows (`layout`).
+B has a row for each spring: what lengthens it. Loss angles make k complex, drag adds to C's
+diagonal (`pgran.medium.dissipation`). Held balls are no unknowns; the springs of those that are
+driven give the drive f(s), the sum of k + s beta at their other ends, a push a constant one
+(`pgran.medium.source`). All matrices share one nonzero pattern, so that S is combined anew for each
+s without assembly, and factored symbolically only once.
+
+PETSc numbers unknowns so that each rank has a range. A layout knows those numbers, and turns
+constants of springs into the nonzeros of B^T diag(k) B. What owns objects of PETSc frees them.
 """
 
+from contextlib import AbstractContextManager
 from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
 
-from pgran.driven.layout import LatticeLayout, NetworkLayout
-from pgran.driven.owner import Owner
+from pgran.errors import InputError
+from pgran.medium.bonds import SIGNS, bond_ends
 from pgran.run.petsc import PETSc
 
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
 
+def unchanged(part):
+    """Return a spring's part of a sum, where `abs` would take its magnitude."""
+    return part
+
+
+class Owner(AbstractContextManager):
+    """Owns what its attributes `owns` hold: PETSc objects, other owners, or lists of them.
+
+    `destroy` or the end of a `with` frees it on the ranks `comm`. An attribute that is a
+    `cached_property` is made when it is first asked for, and anew after `forget`.
+    """
+
+    owns = ()
+
+    def __exit__(self, *error):
+        if error[0] is None or self.comm.size == 1:
+            self.destroy()
+
+    def destroy(self):
+        """Free all PETSc objects. Collective."""
+        for held in self._held(self.owns):
+            held.destroy()
+
+    def forget(self, *names):
+        """Free what some attributes hold, which nothing else may use any more. Collective."""
+        for held in self._held(names):
+            held.destroy()
+        for name in names:
+            vars(self).pop(name, None)
+
+    def vectors(self):
+        """Yield all vectors, those of other owners too."""
+        for held in self._held(self.owns):
+            if isinstance(held, Owner):
+                yield from held.vectors()
+            elif isinstance(held, PETSc.Vec):
+                yield held
+
+    def _held(self, names):
+        """Return what some attributes hold, as far as it is made."""
+        values = [vars(self).get(name) for name in names]
+        lists = [item if isinstance(item, list) else [item] for item in values]
+        return [held for several in lists for held in several if held is not None]
+
+
 class Operators(Owner):
     """A driven medium, the same on all ranks that share it, as distributed matrices. Collective.
 
-    K is the graph Laplacian weighted by the constants, `damping` times C all that damps in
-    proportion to s, None where nothing damps; the vector M holds the masses. S and f are the driven
-    system at the s of the last `combine`. No eigenvalue of K is below `softest`, which is None
-    while that is unknown. `layout` numbers the unknowns. Destroy with `destroy` or `with`.
+    `damping` times C is all that damps in proportion to s, None where nothing damps; the vector M
+    holds the masses. S and f are the driven system at the s of the last `combine`. No eigenvalue of
+    K is below `softest`, None while that is unknown. Destroy with `destroy` or `with`.
     """
 
-    owns = ("K", "C", "M", "_inertia", "S", "f", "f_stiffness", "f_damping", "sizes", "layout")
+    owns = ("K", "C", "M", "_diagonal", "S", "f", "f_stiffness", "f_damping", "sizes", "layout")
 
     def __init__(self, lattice, comm):
         self.lattice, self.comm = lattice, comm
@@ -38,13 +85,13 @@ class Operators(Owner):
         self.rounding = lattice.rounding
         self.layout = (LatticeLayout if lattice.is_grid else NetworkLayout)(lattice, comm)
         self.first, self.last = self.layout.first, self.layout.last
-        self.f_stiffness, self.M, self._inertia = (self.layout.like.duplicate() for _ in range(3))
+        self.f_stiffness, self.M, self._diagonal = (self.layout.like.duplicate() for _ in range(3))
         self.M.set(self.mass)
         self.constants, self.softest = lattice.moduli, None
         self.K = self._assemble(self.constants)
-        # this rank's rows of the push, 0 where none drives
-        self._push = 0.0 if lattice.pushed is None else self.layout.rows(lattice.pushed)
-        self.f_stiffness.setArray(self.layout.driving(self.constants) + self._push)
+        # this rank's part of the push, 0 where none drives
+        self._push = 0.0 if lattice.pushed is None else self.layout.free_values(lattice.pushed)
+        self.f_stiffness.setArray(self.layout.wall_force(self.constants) + self._push)
         self.C = self.f_damping = None
         if self.damping > 0:
             self.C, self.f_damping = self._assemble(lattice.dashpots), self.f_stiffness.duplicate()
@@ -59,6 +106,51 @@ class Operators(Owner):
     def f(self):
         """The drive. Collective when first asked for."""
         return self.f_stiffness.duplicate()
+
+    def combine(self, s):
+        """Set S(s) = K + s beta C + s^2 M and the drive f(s) (paper: ampeq, s = i omega).
+
+        Collective. Raises ValueError if the real part of s is negative: no error is bounded there.
+        """
+        s = complex(s)
+        if not s.real >= 0:
+            raise ValueError(f"the real part of s must be 0 or more, not {s.real}")
+        self.s = s
+        self.K.copy(self.S, structure=SAME)
+        self.f_stiffness.copy(self.f)
+        if self.C is not None:
+            self.S.axpy(s * self.damping, self.C, structure=SAME)
+            self.f.axpy(s * self.damping, self.f_damping)
+        self._diagonal.set(self.mass * s * s)  # in this order: s^2 alone could underflow
+        self.S.setDiagonal(self._diagonal, addv=PETSc.InsertMode.ADD_VALUES)  # faster than a shift
+        # Complex symmetric, not Hermitian: what an LDL^T factorization needs to know.
+        self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
+
+    def set_stiffness(self, constants, bonds=None):
+        """Set all constants in K and in the drive; only some `bonds` differ, if these are given.
+
+        Collective. S waits for `combine`; what follows from K is computed anew. Where dashpots or
+        losses depend on the constants, they change with them.
+        """
+        if self.lattice.has_law:
+            self.lattice, bonds = self.lattice.with_constants(constants), None
+            constants = self.lattice.moduli
+            if self.C is not None:
+                self.C.setValuesCSR(*self.layout.csr(self.lattice.dashpots))
+                self.C.assemble()
+                self._set_damping()
+        self.constants, self.softest = constants, None
+        self.forget("sizes")
+        for name in ("laplacian", "doubled_diagonals", "stiffness_norm"):
+            vars(self).pop(name, None)
+        if bonds is None:
+            self.K.setValuesCSR(*self.layout.csr(constants))
+        else:
+            self.layout.change(self.K, bonds, constants)
+        self.K.assemble()
+        if bonds is None or self.layout.drive[bonds].any():
+            self.f_stiffness.setArray(self.layout.wall_force(constants) + self._push)
 
     @cached_property
     def laplacian(self):
@@ -77,10 +169,25 @@ class Operators(Owner):
         """
         doubled = [0.0, 0.0]
         for number, matrix in enumerate((self.K, self.C)[: 1 + (self.C is not None)]):
-            diagonal = matrix.getDiagonal()
-            doubled[number] = 2 * diagonal.getArray(readonly=True).real
-            diagonal.destroy()
+            matrix.getDiagonal(self._diagonal)
+            doubled[number] = 2 * self._diagonal.getArray(readonly=True).real
         return doubled
+
+    @cached_property
+    def sizes(self):
+        """K, f_stiffness, C and f_damping with the magnitudes of all springs' parts summed up.
+
+        Collective when first asked for; they say what rounding does to what is no Laplacian.
+        """
+        matrices = []
+        parts = (self.constants, self._push), (self.lattice.dashpots, 0.0)
+        for constants, push in parts[: 1 + (self.C is not None)]:
+            drive = self.f_stiffness.duplicate()
+            drive.setArray(self.layout.wall_force(constants, abs) + abs(push))
+            matrices += [self._assemble(constants, abs), drive]
+        if self.C is not None:
+            self._drag(matrices[2])
+        return matrices
 
     @cached_property
     def stiffness_norm(self):
@@ -100,44 +207,8 @@ class Operators(Owner):
             product.destroy()
         return self.comm.allreduce(float(sums.max(initial=0.0)), MPI.MAX)
 
-    @cached_property
-    def sizes(self):
-        """K, f_stiffness, C and f_damping with the magnitudes of all springs' parts summed up.
-
-        Collective when first asked for; they say what rounding does to what is no Laplacian.
-        """
-        matrices = []
-        parts = (self.constants, self._push), (self.lattice.dashpots, 0.0)
-        for constants, push in parts[: 1 + (self.C is not None)]:
-            drive = self.f_stiffness.duplicate()
-            drive.setArray(self.layout.driving(constants, np.abs) + np.abs(push))
-            matrices += [self._assemble(constants, self.layout.sizes), drive]
-        if self.C is not None:
-            self._drag(matrices[2])
-        return matrices
-
-    def combine(self, s):
-        """Set S(s) = K + s beta C + s^2 M and the drive f(s) (paper: ampeq, s = i omega).
-
-        Collective. Raises ValueError if the real part of s is negative: no error is bounded there.
-        """
-        s = complex(s)
-        if not s.real >= 0:
-            raise ValueError(f"the real part of s must be 0 or more, not {s.real}")
-        self.s = s
-        self.K.copy(self.S, structure=SAME)
-        self.f_stiffness.copy(self.f)
-        if self.C is not None:
-            self.S.axpy(s * self.damping, self.C, structure=SAME)
-            self.f.axpy(s * self.damping, self.f_damping)
-        self._inertia.set(self.mass * s * s)  # in this order: s^2 alone could underflow
-        self.S.setDiagonal(self._inertia, addv=PETSc.InsertMode.ADD_VALUES)  # faster than a shift
-        # Complex symmetric, not Hermitian: what an LDL^T factorization needs to know.
-        self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
-
     def block(self, columns):
-        """Return a dense matrix of so many columns of unknowns, which the caller destroys.
+        """Return a dense matrix of so many columns of unknowns, for the caller to destroy.
 
         Collective.
         """
@@ -168,45 +239,267 @@ class Operators(Owner):
         for entries, rows, mine in self.layout.own_entries(bonds):
             columns[rows, mine] = entries
 
-    def set_stiffness(self, constants, bonds=None):
-        """Set all constants in K and in the drive; only some `bonds` differ, if these are given.
-
-        Collective. S waits for `combine`; what follows from K is computed anew. Where dashpots or
-        losses depend on the constants, they change with them.
-        """
-        if self.lattice.has_law:
-            self.lattice, bonds = self.lattice.with_constants(constants), None
-            constants = self.lattice.moduli
-            if self.C is not None:
-                self.C.setValuesCSR(*self.layout.csr(self.lattice.dashpots))
-                self.C.assemble()
-                self._set_damping()
-        self.constants, self.softest = constants, None
-        self.forget("sizes")
-        for name in ("laplacian", "doubled_diagonals", "stiffness_norm"):
-            vars(self).pop(name, None)
-        if bonds is None:
-            self.K.setValuesCSR(*self.layout.csr(constants))
-        else:
-            self.layout.change(self.K, bonds, constants)
-        self.K.assemble()
-        if bonds is None or self.layout.drive[bonds].any():
-            self.f_stiffness.setArray(self.layout.driving(constants) + self._push)
-
     def _set_damping(self):
         """Complete C by the drag, and set the drive's dashpots. Collective."""
         self._drag(self.C)
-        self.f_damping.setArray(self.layout.driving(self.lattice.dashpots))
+        self.f_damping.setArray(self.layout.wall_force(self.lattice.dashpots))
 
     def _drag(self, C):
         """Add what drag there is to a matrix like C. Collective."""
-        if self.lattice.drags is None:
-            return
-        drag = self.layout.vector(np.reshape(self.lattice.dragged, self.shape))
-        C.setDiagonal(drag, addv=PETSc.InsertMode.ADD_VALUES)
-        drag.destroy()
+        if self.lattice.drags is not None:
+            drag = np.reshape(self.lattice.dragged, self.shape)
+            self._diagonal.setArray(self.layout.free_values(drag))
+            C.setDiagonal(self._diagonal, addv=PETSc.InsertMode.ADD_VALUES)
 
-    def _assemble(self, constants, csr=None):
+    def _assemble(self, constants, size=unchanged):
         """Return the matrix B^T diag(k) B."""
-        size, csr = self.f_stiffness.getSizes(), (csr or self.layout.csr)(constants)
-        return PETSc.Mat().createAIJ((size, size), csr=csr, comm=self.comm)
+        sizes, csr = self.f_stiffness.getSizes(), self.layout.csr(constants, size)
+        return PETSc.Mat().createAIJ((sizes, sizes), csr=csr, comm=self.comm)
+
+
+class Layout(Owner):
+    """How the unknowns of a medium are numbered, shared out over ranks, and coupled. Collective.
+
+    One rank alone numbers them in an `order`, several share them by a `partition`. `numbers` are
+    PETSc's of the medium's unknowns, of which this rank has those from `first` to `last`; `like` is
+    a vector of them, to duplicate. Of each spring `ends` (springs, w) are the unknowns in its row
+    of B, PETSc's numbers, -1 for none, and `entries`, which may be one row for all, B's entries
+    there; `drive` is how far it is stretched when what is driven moves by 1. `laplacian` says that
+    a spring of positive constant has no positive entry beside the diagonal.
+    """
+
+    owns = ("like",)
+
+    def __init__(self, medium, comm, order):
+        self.medium, self.comm, own = medium, comm, medium.size
+        if comm.size > 1:
+            parts = partition(medium, comm.size)
+            order, own = np.argsort(parts, kind="stable"), np.count_nonzero(parts == comm.rank)
+        numbers = np.empty(medium.size, dtype=PETSc.IntType)
+        numbers[order] = np.arange(medium.size)
+        self.numbers = numbers.reshape(medium.shape)
+        self.like = PETSc.Vec().create(comm)
+        self.like.setSizes((own, None))
+        self.like.setType(PETSc.Vec.Type.STANDARD)
+        self.first, self.last = self.like.getOwnershipRange()
+
+    def free_values(self, field):
+        """Return this rank's entries of an array over all unknowns, the same on every rank."""
+        values = np.empty(np.size(field), dtype=field.dtype)
+        values[self.numbers] = field
+        return values[self.first : self.last]
+
+    def vector(self, field):
+        """Return an array over all unknowns, the same on every rank, as a vector. Collective."""
+        x = self.like.duplicate()
+        x.setArray(self.free_values(field))
+        return x
+
+    def field(self, x):
+        """Return a vector as an array over all unknowns on rank 0, else None. Collective."""
+        scatter, gathered = PETSc.Scatter.toZero(x)
+        scatter.scatter(x, gathered)
+        field = gathered.getArray()[self.numbers] if self.comm.rank == 0 else None
+        scatter.destroy()
+        gathered.destroy()
+        return field
+
+    def fields(self, rows):
+        """Return rows over all unknowns, of one rank alone, as the medium numbers them."""
+        return rows[:, self.numbers]
+
+    def gathered(self, vectors):
+        """Return vectors as arrays, one after the other, on rank 0, None on others. Collective."""
+        if self.comm.size == 1:
+            return self.fields(np.stack([x.getArray(readonly=True) for x in vectors]))
+        fields = [self.field(x) for x in vectors]
+        return None if fields[0] is None else np.stack(fields)
+
+    def readings(self, sites):
+        """Return the unknowns that detectors read, and their weights, shape (nd, axes)."""
+        unknowns, weights = self.medium.readings(sites)
+        return self.numbers.ravel()[unknowns], weights
+
+    def own_entries(self, springs):
+        """Yield, side by side, B's entries, this rank's rows that they are in, of which springs."""
+        for entries, unknowns in zip(self.entries.T, self.ends[springs].T, strict=True):
+            mine = np.flatnonzero((unknowns >= self.first) & (unknowns < self.last))
+            entries = entries[springs[mine]] if len(entries) > 1 else entries
+            yield entries, unknowns[mine] - self.first, mine
+
+    def wall_force(self, constants, size=unchanged):
+        """Return this rank's rows of the drive, -B^T diag(k) of what is driven.
+
+        `size` is applied to each spring's part before these are summed up, here and in `csr`.
+        """
+        springs = np.flatnonzero(self.drive)
+        pull = -constants[springs] * self.drive[springs]
+        total = np.zeros(self.last - self.first)
+        for entries, rows, mine in self.own_entries(springs):
+            forces = size(entries * pull[mine])
+            total = total + np.bincount(rows, forces.real, len(total))
+            if np.iscomplexobj(forces):
+                total = total + 1j * np.bincount(rows, forces.imag, len(total))
+        return total
+
+
+class LatticeLayout(Layout):
+    """The balls of a lattice: each has as many bonds, to a neighbour or a wall."""
+
+    laplacian = True
+
+    def __init__(self, lattice, comm):
+        if comm.size > lattice.size:
+            why = f"{lattice.size} balls cannot be cut among {comm.size} ranks"
+            raise InputError(f"-ranks_per_lattice: {why}")
+        if lattice.elimination.numbered:
+            order = lattice.order
+        else:
+            order = np.arange(lattice.size).reshape(lattice.shape).ravel(order="F")
+        super().__init__(lattice, comm, order)
+        self.ends, self.entries = bond_ends(self.numbers), SIGNS[None]
+        self.drive = lattice.drive
+        # The place 2 b + side in `ends` is that of an end of bond b; its other end is at place ^ 1.
+        # So each of this rank's balls has 2 d bonds, and in its row of a matrix 2 d + 1 columns:
+        # itself and the others, -1 for a wall, which PETSc ignores.
+        ends = self.ends.ravel()
+        order = np.argsort(ends, kind="stable")  # much quicker than the default
+        order = order[np.count_nonzero(ends < self.first) : np.count_nonzero(ends < self.last)]
+        order = order.reshape(self.last - self.first, -1)
+        own = np.arange(self.first, self.last, dtype=PETSc.IntType)
+        self._bonds, self._columns = order // 2, np.column_stack([own, ends[order ^ 1]])
+        self._exists = self._columns >= 0
+
+    def csr(self, constants, size=unchanged):
+        """Return row pointers, columns and nonzeros of B^T diag(k) B."""
+        pointer = np.append(0, np.cumsum(np.count_nonzero(self._exists, axis=1)))
+        values = size(self._values(size(constants))[self._exists])
+        return pointer.astype(PETSc.IntType), self._columns[self._exists], values
+
+    def change(self, matrix, bonds, constants):
+        """Set in a matrix, to be assembled, the rows of all balls at some bonds.
+
+        They are summed up anew, so that what was before leaves no rounding behind.
+        """
+        balls = self.ends[bonds].ravel()
+        balls = balls[(balls >= self.first) & (balls < self.last)]
+        if len(balls):  # petsc4py divides by zero otherwise
+            rows = balls - self.first
+            matrix.setValuesRCV(balls[:, None], self._columns[rows], self._values(constants, rows))
+
+    def _values(self, constants, rows=...):
+        """Return what belongs into the columns of some rows of B^T diag(k) B."""
+        k = constants[self._bonds[rows]]
+        return np.column_stack([k.sum(axis=1), -k]).astype(PETSc.ScalarType)
+
+
+class NetworkLayout(Layout):
+    """The unknowns of any network, or of a lattice like others."""
+
+    def __init__(self, network, comm):
+        super().__init__(network, comm, network.order)
+        springs, none = network.springs, np.array(-1, PETSc.IntType)
+        self.ends, self.entries = np.append(self.numbers, none)[springs.columns], springs.values
+        self.drive, self.laplacian = springs.drive, network.components == 1
+        self._contribute()
+
+    def _contribute(self):
+        """Find the nonzeros of this rank's rows, and what each spring contributes to them.
+
+        They are blocks (w, w) of w unknowns a ball: one for each ball, one for each two in contact.
+        """
+        from scipy.sparse import csc_matrix, csr_matrix
+
+        width, contacts = self.medium.components, self.medium.bonds
+        first, last = self.first // width, self.last // width
+        balls = self.ends[:contacts, ::width] // width  # -1 stays
+        mine = (balls >= first) & (balls < last)
+        here = np.flatnonzero(np.any(mine, axis=1))
+        balls, mine, both = balls[here], mine[here], np.all(balls[here] >= 0, axis=1)
+        own = np.arange(first, last)
+        ahead, back = (np.flatnonzero(both & mine[:, end]) for end in (0, 1))
+        rows = np.concatenate([own, balls[ahead, 0], balls[back, 1]]) - first
+        columns = np.concatenate([own, balls[ahead, 1], balls[back, 0]])
+        shape = len(own), self.medium.free_balls
+        blocks = csr_matrix((np.ones(len(rows), dtype=bool), (rows, columns)), shape)
+        places = self._number_nonzeros(blocks, width)
+        blocks.data = np.arange(blocks.nnz, dtype=np.int32)  # look up which block is where
+        # of no indices at all SciPy makes a sparse matrix
+        found = np.asarray(blocks[rows, columns]).ravel() if len(rows) else rows
+        itself, ahead_of, back_of = np.split(found, np.cumsum([len(own), len(ahead)]))
+        # A spring at the unknowns p, q contributes B[s, p] B[s, q] k[s] to the nonzero (p, q). As a
+        # matrix that is times the constants, a column for each spring: all springs of a contact
+        # have their entries in the same rows. The last row is for what is not this rank's.
+        target = np.full((len(here), 2, width, 2, width), places.size, dtype=np.int32)
+        for end in (0, 1):
+            at = np.flatnonzero(mine[:, end])
+            target[at, end, :, end] = places[itself[balls[at, end] - first]]
+        target[ahead, 0, :, 1] = places[ahead_of]
+        target[back, 1, :, 0] = places[back_of]
+        kinds = len(self.ends) // contacts
+        self._springs = (here + contacts * np.arange(kinds)[:, None]).ravel()
+        entries = np.broadcast_to(self.entries, self.ends.shape)[self._springs]
+        products = entries[:, :, None] * entries[:, None]
+        pointer = (2 * width) ** 2 * np.arange(len(self._springs) + 1)
+        matrix = products.ravel(), np.tile(target.ravel(), kinds), pointer
+        self._contributions = csc_matrix(matrix, (places.size + 1, len(self._springs)))
+
+    def _number_nonzeros(self, blocks, width):
+        """Number the nonzeros of a sparse matrix of blocks row by row: shape (blocks, w, w).
+
+        A row of m blocks is w rows of m w nonzeros: row p holds the rows p of these blocks.
+        """
+        inside, counts = np.arange(width, dtype=np.int32), np.diff(blocks.indptr)
+        row = np.repeat(np.arange(len(counts)), counts)
+        before = blocks.indptr[row]  # so many blocks are in the rows above
+        corner = before * width**2 + (np.arange(blocks.nnz) - before) * width
+        step = (counts * width)[row]
+        places = corner[:, None, None] + step[:, None, None] * inside[:, None] + inside
+        lengths = np.repeat(counts * width, width)
+        self._pointer = np.append(0, np.cumsum(lengths)).astype(PETSc.IntType)
+        self._columns = np.empty(places.size, dtype=PETSc.IntType)
+        self._columns[places] = (blocks.indices[:, None] * width + inside)[:, None]
+        return places
+
+    def csr(self, constants, size=unchanged):
+        """Return row pointers, columns and nonzeros of B^T diag(k) B."""
+        values = size(self._contributions) @ size(constants[self._springs])
+        return self._pointer, self._columns, values[:-1].astype(PETSc.ScalarType)
+
+    def change(self, matrix, bonds, constants):
+        """Set in a matrix what all springs contribute; it is to be assembled."""
+        matrix.setValuesCSR(*self.csr(constants))
+
+
+def partition(medium, parts):
+    """Return which rank has each unknown: those of a ball together, neighbours mostly, as many.
+
+    By bisection along the longest extent of the positions; without positions along the order of
+    reverse Cuthill and McKee. The same on every rank.
+    """
+    if medium.is_grid:
+        where = np.indices(medium.shape).reshape(medium.axes, -1).T
+    elif medium.position is not None:
+        where = medium.position[medium.free]
+    else:
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+        total = len(medium.held)
+        ones, (i, j) = np.ones(len(medium.bond)), medium.bond.T
+        order = reverse_cuthill_mckee(coo_matrix((ones, (i, j)), (total, total)).tocsr())
+        rank = np.empty(total)
+        rank[order] = np.arange(total)
+        where = rank[medium.free][:, None]
+    rank_of, left = np.zeros(len(where), dtype=int), [(np.arange(len(where)), 0, parts)]
+    while left:  # cut the balls `here`, which are for `count` ranks from `first` on
+        here, first, count = left.pop()
+        if count == 1:
+            rank_of[here] = first
+            continue
+        axis = np.argmax(np.ptp(where[here], axis=0)) if len(here) else 0
+        order = here[np.argsort(where[here, axis], kind="stable")]
+        half = count // 2
+        split = len(here) * half // count
+        left += [(order[:split], first, half), (order[split:], first + half, count - half)]
+    return np.repeat(rank_of, medium.components)

@@ -75,7 +75,7 @@ class PatternSolver(SteadySolver):
     def _places(self):
         """Which of the medium's unknowns this rank's rows are."""
         unknowns = np.arange(self.operators.size).reshape(self.operators.shape)
-        return self.operators.layout.rows(unknowns)
+        return self.operators.layout.free_values(unknowns)
 
     def _carried_out(self, compute, shape, *patterns):
         """Return what is computed of patterns, or nothing known if this s, or PETSc, has failed."""

@@ -23,7 +23,7 @@ from pgran.driven.linear import (
     expected_iterations,
     factor_price,
 )
-from pgran.driven.owner import Owner
+from pgran.driven.operators import Owner
 from pgran.errors import is_bad_input, petsc_message
 from pgran.run.agreement import met_by_all
 from pgran.run.petsc import PETSc

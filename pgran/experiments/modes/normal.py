@@ -18,7 +18,7 @@ import slepc4py
 from mpi4py import MPI
 
 from pgran.driven.counting import flag_hermitian
-from pgran.driven.owner import Owner
+from pgran.driven.operators import Owner
 from pgran.experiments.modes.nearest import Nearest
 from pgran.experiments.modes.shapes import rayleigh_ritz, residuals, with_fixed_sign
 from pgran.run.petsc import PETSc, plain_errors

@@ -20,8 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import coo_matrix
 
-from pgran.driven.operators import SAME
-from pgran.driven.owner import Owner
+from pgran.driven.operators import SAME, Owner
 from pgran.errors import InputError
 from pgran.experiments.pulse.wall import BAND
 from pgran.run.petsc import PETSc, holding

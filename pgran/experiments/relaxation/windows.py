@@ -36,7 +36,7 @@ import numpy as np
 from pgran.driven.accurate import is_accurate
 from pgran.driven.columns import Columns
 from pgran.driven.deformation import Deformation, amplitudes, march
-from pgran.driven.owner import Owner
+from pgran.driven.operators import Owner
 from pgran.errors import InputError
 from pgran.medium.base import SMALLEST_NORMAL
 

@@ -19,7 +19,7 @@ import numpy as np
 from pgran.driven.certify import smallest_damping, smallest_loss
 from pgran.driven.judge import Detectors
 from pgran.driven.linear import LEAST_NORM, make_ksp, set_up
-from pgran.driven.owner import Owner
+from pgran.driven.operators import Owner
 from pgran.errors import is_bad_input, petsc_message
 from pgran.experiments.response.models import (
     SUMMED,
