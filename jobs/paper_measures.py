@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 import pgran
-from pgran.driven.phase import fit_line
+from pgran.driven.amplitudes import fit_line
 from pgran.experiments.modes.figures import pick
 
 DEEP = 10.0  # dB: a sharp decrease

@@ -16,7 +16,7 @@ from paper_measures import (
 from paper_rows import Row, Section
 
 import pgran
-from pgran.driven.phase import fit_line
+from pgran.driven.amplitudes import fit_line
 
 BEAD, SPEED = 0.5, 5700.0  # cm and cm/s, measured (paper: velobs)
 OMEGA_MX = 2e5  # 1/s, the paper's (expomx)

@@ -14,7 +14,7 @@ from reference import exact_amplitudes
 from samples import SOLVERS, Naive, listened, option_values, reference_of, relaxed, steady, swept
 from sensitivity_samples import missed
 
-from pgran.driven.certify import smallest_damping
+from pgran.driven.counting import smallest_damping
 from pgran.errors import InputError
 from pgran.experiments.pulse.wall import Pulse
 from pgran.experiments.response.record import Curve

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from pgran.driven.inertia import RealFactors
-from pgran.driven.singular import proven_least
+from pgran.driven.factors import RealFactors, proven_least
 from pgran.experiments.modes import certain
 from pgran.experiments.modes.certain import discs, number_below, number_within, radii
 

@@ -14,7 +14,7 @@ from small import OPTIONS
 
 import pgran
 from pgran.command.resolve import resolve
-from pgran.driven.certify import smallest_damping
+from pgran.driven.counting import smallest_damping
 from pgran.errors import InputError
 from pgran.medium.base import record_of
 from pgran.medium.network_file import parts_of, read_network, write_network

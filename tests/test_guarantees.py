@@ -12,7 +12,7 @@ import pattern_faults
 import pytest
 from guarantees import GUARANTEES, carry_out
 
-from pgran.driven import judge
+from pgran.driven import accuracy
 from pgran.experiments.modes import density
 
 
@@ -42,14 +42,14 @@ def too_small(state):
 
 
 SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
-    "sweeps": (judge.Judge, "assess", too_small),
+    "sweeps": (accuracy.Accuracy, "assess", too_small),
     "frequencies alone": (
         amplitude_faults, "response_of",
         lambda run: replace(run, displacement=run.displacement * (1 + 1e-15 * len(run.omega))),
     ),
-    "sources": (judge.Judge, "assess", too_small),
-    "networks": (judge.Judge, "assess", too_small),
-    "laws": (judge.Judge, "assess", too_small),
+    "sources": (accuracy.Accuracy, "assess", too_small),
+    "networks": (accuracy.Accuracy, "assess", too_small),
+    "laws": (accuracy.Accuracy, "assess", too_small),
     "laws, forces": (amplitude_faults, "exact_network_force", lambda force: 1.01 * force),
     "forces": (amplitude_faults, "exact_network_force", lambda force: 1.01 * force),
     "green": (
@@ -67,8 +67,8 @@ SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
     "pulses": (
         amplitude_faults, "listened", lambda run: replace(run, displacement=1.01 * run.displacement)
     ),
-    "derivatives": (judge.Judge, "assess", too_small),
-    "laws, derivatives": (judge.Judge, "assess", too_small),
+    "derivatives": (accuracy.Accuracy, "assess", too_small),
+    "laws, derivatives": (accuracy.Accuracy, "assess", too_small),
     "growing balls": (
         growth_faults, "heated", lambda run: replace(run, warmed=(1 + 1e-7) * run.warmed)
     ),

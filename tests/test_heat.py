@@ -15,8 +15,7 @@ from sensitivity_samples import (
     packing,
 )
 
-from pgran.driven import steady
-from pgran.driven import sweep as sweeping
+from pgran.driven import drive, steady
 from pgran.driven.linear import ReusePolicy
 from pgran.driven.steady import SteadySolver
 from pgran.errors import InputError
@@ -97,7 +96,7 @@ def test_contacts_of_no_normal_stiffness_are_warmed():
 def test_inexact_factors(monkeypatch, solver_options, solver):
     """A factorization of another frequency would leave warm balls unknown: none is used."""
     solver_options(solver)
-    monkeypatch.setattr(sweeping, "ranges", lambda count: [range(count)])
+    monkeypatch.setattr(drive, "ranges", lambda count: [range(count)])
     lattice, omegas = random_lattice((4, 3), 3), np.linspace(0.4, 0.41, 3)
     found = heated(lattice, omegas, [[1, 1]], factor=2)
     assert_exact(found, lattice, [[1, 1]], factor=2)
@@ -114,7 +113,7 @@ def test_bounds_know_what_a_factorization_of_another_frequency_is_worth(monkeypa
 
     monkeypatch.setattr(SteadySolver, "restart", once)
     monkeypatch.setattr(steady, "ReusePolicy", lambda _: ReusePolicy(50))
-    monkeypatch.setattr(sweeping, "ranges", lambda count: [range(count)])
+    monkeypatch.setattr(drive, "ranges", lambda count: [range(count)])
     lattice, omegas = random_lattice((4, 3), 3, 0.05), np.linspace(0.4, 0.404, 3)
     with holding(option_values(STALE)):
         found = heated(lattice, omegas, [[1, 1]], factor=1.2)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pgran.driven.certify import smallest_damping
+from pgran.driven.counting import smallest_damping
 from pgran.driven.operators import Operators
 from pgran.errors import InputError
 from pgran.experiments.modes.scene import find_modes

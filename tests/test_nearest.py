@@ -7,7 +7,8 @@ import pytest
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from pgran.driven.inertia import RealFactors, real_matrix
+from pgran.driven.counting import real_matrix
+from pgran.driven.factors import RealFactors
 from pgran.driven.operators import Operators
 from pgran.experiments.modes import nearest
 from pgran.experiments.modes.normal import ModeSolver

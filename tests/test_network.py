@@ -11,7 +11,7 @@ from network_samples import NetworkReference
 from samples import steady
 
 from pgran.command.resolve import SCENES
-from pgran.driven.certify import smallest_damping
+from pgran.driven.counting import smallest_damping
 from pgran.driven.operators import Operators
 from pgran.errors import InputError
 from pgran.experiments.modes.scene import find_modes

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from samples import random_lattice, reference_of, swept
 
-from pgran.driven.phase import BLOCKS, CERTAIN, fit_phase
+from pgran.driven.amplitudes import BLOCKS, CERTAIN, fit_phase
 from pgran.experiments.response.scene import ResponseSweep, summary
 from pgran.medium.lattice import Lattice
 from pgran.medium.record import LatticeRecord

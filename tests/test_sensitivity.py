@@ -18,7 +18,7 @@ from sensitivity_samples import (
     random_sensitivity,
 )
 
-from pgran.driven import sweep as sweeping
+from pgran.driven import drive
 from pgran.medium.lattice import Lattice
 
 CASE = random_sensitivity(0)  # of another tolerance and frequencies
@@ -176,7 +176,7 @@ def test_what_fails_is_marked(solver_options):
 def test_inexact_factors(monkeypatch, solver_options, solver):
     """Bounds hold, and derivatives are as accurate as asked or marked; with direct ones none is."""
     solver_options(solver)
-    monkeypatch.setattr(sweeping, "ranges", lambda count: [range(count)])
+    monkeypatch.setattr(drive, "ranges", lambda count: [range(count)])
     lattice, omegas = random_lattice((4, 3), 3), np.linspace(0.4, 0.41, 6)
     found = derived(lattice, omegas, [[1, 1]])
     case = dataclasses.replace(CASE, tolerance=1e-4, omegas=omegas)

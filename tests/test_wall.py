@@ -12,7 +12,7 @@ from petsc4py import PETSc
 from reference import DRIVEN, bonds, refined_field
 from samples import assert_same, bond_arrays, random_lattice, steady, swept, uniform_lattice
 
-from pgran.driven.judge import Judge
+from pgran.driven.accuracy import Accuracy
 from pgran.medium import crystals as makers
 from pgran.medium.lattice import Lattice
 from pgran.medium.network import Network
@@ -177,14 +177,14 @@ def test_the_number_of_ranks_does_not_matter(world, medium, damping):
 def test_a_failed_frequency_is_marked(world, monkeypatch):
     """It has no force; of the others each has its own."""
     lattice, omegas, bad = random_lattice((5, 4), 2), np.linspace(0.2, 1.1, 7), 0.5
-    right, assess = swept(lattice, omegas, (2, 2), world), Judge.assess
+    right, assess = swept(lattice, omegas, (2, 2), world), Accuracy.assess
 
     def failing(self, s, *others):
         if abs(s.imag - bad) < 1e-9:
             raise PETSc.Error(76)  # an error in an outside package
         return assess(self, s, *others)
 
-    monkeypatch.setattr(Judge, "assess", failing)
+    monkeypatch.setattr(Accuracy, "assess", failing)
     response = swept(lattice, omegas, (2, 2), world)
     failed = np.arange(7) == 2
     assert np.array_equal(response.converged_reason <= 0, failed)

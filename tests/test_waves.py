@@ -17,7 +17,7 @@ from scipy.integrate import quad
 
 import pgran
 from pgran.command.resolve import SCENES, resolve
-from pgran.driven.bounds import ErrorBounds
+from pgran.driven.accuracy import Accuracy
 from pgran.errors import InputError
 from pgran.experiments.structure import figures
 from pgran.experiments.structure.scene import Waves, fitted, ioffe_regel, spectrum
@@ -230,7 +230,7 @@ def test_what_is_not_bounded_or_not_stable(caplog, monkeypatch):
     medium = network(WALLS, "rotations")
     normal, omega = dataclasses.replace(medium, damped="normal"), [0.5, 1.0, 2.0, 9.0]
     assert np.isfinite(pgran.structure(normal, 1, omega, width=0).error_bound).all()
-    monkeypatch.setattr(ErrorBounds, "sharpen", lambda *_: False)  # as where ranks share it
+    monkeypatch.setattr(Accuracy, "sharpen", lambda *_: False)  # as where ranks share it
     found = pgran.structure(normal, 1, omega, width=0)
     assert np.isinf(found.error_bound[:3]).all()
     assert found.exactness().endswith("; 3 of 4 frequencies failed or missed the accuracy")

@@ -1,7 +1,8 @@
-"""How many eigenvalues of K lie below a shift.
+"""How many eigenvalues of K lie below a shift, and numbers that no eigenvalue of K, C, L is below.
 
 By Sylvester's law the factorization K - sigma = L D L^T has as many negative entries in D as K has
-eigenvalues below sigma. It costs a factorization and makes no vectors.
+eigenvalues below sigma. It costs a factorization and makes no vectors. What counts certify here,
+the error of real factors proves elsewhere (`factors`).
 """
 
 import contextlib
@@ -9,18 +10,122 @@ import contextlib
 import numpy as np
 from mpi4py import MPI
 
-from pgran.driven.inertia import RealFactors, real_matrix
 from pgran.driven.linear import accept_small_pivots
-from pgran.driven.operators import SAME, Owner
+from pgran.driven.operators import SAME, NetworkLayout, Owner
+from pgran.medium.springs import norm_of
 from pgran.run.petsc import PETSc
 
 SLOW = 0.05  # seconds of a lattice's factorization from which SuperLU's dense blocks are faster
+PARTS = (0.9, 0.5, 0.1, 0.01)  # of an estimate of the smallest eigenvalue that are tried
+STEPS = 20  # of inverse iteration at most
+ENOUGH = 0.99  # of the last quotient: inverse iteration that lowers it less has come near enough
+FLOORS = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1)  # of |K|: how far below zero its eigenvalues may be
 
 
-def flag_hermitian(matrix):
-    """Let PETSc know of a real symmetric matrix that it is one."""
-    matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    matrix.setOption(PETSc.Mat.Option.HERMITIAN, True)
+def smallest_damping(lattice):
+    """Return a number that no eigenvalue of C is below, drag included; 0 if none is certain.
+
+    The same on every rank. It is counted once where no closed form is known, on a copy of this
+    rank's own.
+    """
+    cache = vars(lattice)
+    if "smallest_damping" not in cache:
+        least, drag = 0.0, np.ravel(lattice.dragged)
+        if lattice.isotropic:
+            least = (lattice.least_damping if lattice.damping else 0.0) + drag.min()
+        if not lattice.isotropic or (least <= 0 and lattice.drags is not None):
+            least = _least(lattice, lattice.dashpots, lattice.damping_norm, drag)
+        cache["smallest_damping"] = least
+    return cache["smallest_damping"]
+
+
+def smallest_loss(lattice):
+    """Return a number that no eigenvalue of L is below, 0 if none above 0 is certain; counted once.
+
+    L = B^T diag(eta k) B of what springs lose by themselves, which negative eigenvalues would feed.
+    """
+    cache = vars(lattice)
+    if lattice.losses is None:
+        return 0.0
+    if "smallest_loss" not in cache:
+        norm = norm_of(lattice.springs.B, np.abs(lattice.losses))
+        cache["smallest_loss"] = _least(lattice, lattice.losses, norm)
+    return cache["smallest_loss"]
+
+
+def least_stiffness(network):
+    """Return a number that no eigenvalue of K is below; 0 if none above 0 is certain."""
+    return _least(network, network.constants, network.stiffness_norm)
+
+
+def smallest_stiffness(operators):
+    """Return a number that no eigenvalue of K is below; 0 where no spring's constant is negative.
+
+    The same on every rank; computed once for the constants that operators have.
+    """
+    if operators.softest is None:
+        constants, operators.softest = operators.constants.real, 0.0
+        if constants.min(initial=0.0) < 0:
+            part, norm = _floor(operators.lattice, constants)
+            operators.softest = -part * norm
+    return operators.softest
+
+
+def is_stable(network):
+    """Return whether no eigenvalue of K is negative but for rounding, certified by a count."""
+    part, _ = _floor(network, network.constants)
+    return part == FLOORS[0]
+
+
+def _floor(network, constants):
+    """Return how far below zero eigenvalues of K may be in units of its norm, and that norm."""
+    with NetworkLayout(network, MPI.COMM_SELF) as layout:
+        csr = layout.csr(constants)
+    matrix = PETSc.Mat().createAIJ((network.size,) * 2, csr=csr, comm=MPI.COMM_SELF)
+    with ModeCounter(matrix, network) as counter:
+        certain = (p for p in FLOORS if counter.below(-p * counter.norm, p / 2 * counter.norm) == 0)
+        part = next(certain, 1.01)
+    matrix.destroy()
+    return part, counter.norm
+
+
+def _least(medium, constants, norm, diagonal=0.0):
+    """Return what no eigenvalue of B^T diag(constants) B + diag(diagonal) is below; 0 if unknown.
+
+    Its magnitudes sum up to `norm`. Inverse iteration estimates the smallest eigenvalue from above;
+    that none is below a part of it, factors of the matrix less that part prove.
+    """
+    from scipy.sparse import csc_matrix
+
+    from pgran.driven.factors import RealFactors, proven_gap
+
+    with NetworkLayout(medium, MPI.COMM_SELF) as layout:
+        pointer, columns, values = layout.csr(constants)
+    if np.any(diagonal):
+        rows = np.repeat(np.arange(medium.size), np.diff(pointer))
+        values[rows == columns] += np.broadcast_to(diagonal, medium.size)[medium.order]
+    matrix = csc_matrix((values.real.copy(), columns, pointer))  # symmetric: rows are columns
+    rounding = medium.rounding * norm  # of the sums that its entries are
+    try:
+        # Were it singular, pivots that rounding leaves would exchange rows and fill the factors.
+        estimate = _estimate(matrix, RealFactors(matrix, -8 * rounding))
+    except ZeroDivisionError:
+        return 0.0
+    return next(filter(None, (proven_gap(matrix, p * estimate, 0, rounding) for p in PARTS)), 0.0)
+
+
+def _estimate(matrix, factors):
+    """Return the Rayleigh quotient of inverse iteration, once a step changes it little."""
+    x = np.random.Generator(np.random.Philox(1)).standard_normal(matrix.shape[0])
+    last = np.inf
+    for _ in range(STEPS):
+        x = factors.solve(x)
+        x /= np.linalg.norm(x)
+        quotient = x @ (matrix @ x)
+        if not quotient < ENOUGH * last:  # NaN too
+            break
+        last = quotient
+    return quotient
 
 
 class ModeCounter(Owner):
@@ -37,20 +142,20 @@ class ModeCounter(Owner):
     def __init__(self, K, lattice):
         self.K, self.norm = K, K.norm(PETSc.NormType.INFINITY) or 1.0
         self.order, self.comm = K.getSize()[0], MPI.COMM_SELF
-        self.semidefinite = lattice.semidefinite
+        self.semidefinite, elimination = lattice.semidefinite, lattice.elimination
         self._shifted = K.duplicate(copy=True)
         flag_hermitian(self._shifted)
         self._x, self._rhs = K.createVecs()
         self._residual = self._rhs.duplicate()
         self._rhs.setArray(np.random.Generator(np.random.Philox(1)).standard_normal(self.order))
-        self.costly = lattice.elimination.costly
+        self.costly = elimination.costly
         chosen = PETSc.Options("normal_count_").hasName("pc_type")
-        slow = self.costly or (lattice.is_grid and lattice.elimination.seconds > SLOW)
+        slow = self.costly or (lattice.is_grid and elimination.seconds > SLOW)
         self._factor = self._by_superlu if slow and not chosen else self._by_petsc
         self._pc = PETSc.PC().create(K.getComm())
         self._pc.setOptionsPrefix("normal_count_")
         self._pc.setType("cholesky")
-        if lattice.elimination.numbered:  # its unknowns are numbered in that order
+        if elimination.numbered:  # its unknowns are numbered in that order
             self._pc.setFactorOrdering("natural")
         self._pc.setOperators(self._shifted)
         self._pc.setFromOptions()
@@ -91,9 +196,30 @@ class ModeCounter(Owner):
 
     def _by_superlu(self):
         """Return the same by real arithmetic on dense blocks: much faster where factors fill."""
+        from pgran.driven.factors import RealFactors
+
         try:
             factors = RealFactors(real_matrix(self._shifted), 0.0)
         except ZeroDivisionError:
             return 0, 1
         self._x.setArray(factors.solve(self._rhs.getArray(readonly=True).real))
         return factors.negative or 0, factors.negative is None
+
+
+def flag_hermitian(matrix):
+    """Let PETSc know of a real symmetric matrix that it is one."""
+    matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    matrix.setOption(PETSc.Mat.Option.HERMITIAN, True)
+
+
+def real_matrix(K):
+    """Return the real part of a symmetric PETSc.Mat of this rank alone, sparse by columns."""
+    return complex_matrix(K).real.copy()  # which SuperLU needs in one piece
+
+
+def complex_matrix(S):
+    """Return a symmetric PETSc.Mat of this rank alone as a scipy.sparse.csc_matrix."""
+    from scipy.sparse import csc_matrix
+
+    pointer, columns, values = S.getValuesCSR()  # symmetric: rows are columns
+    return csc_matrix((values, columns, pointer), S.getSize())

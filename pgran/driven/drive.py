@@ -1,17 +1,21 @@
-"""What scenes of driven steady states share: their options, and what they say of a drive."""
+"""What experiments of driven steady states share: options, sweeps over frequencies, summaries."""
 
+import contextlib
 import logging
 
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.medium.base import warn_above_modes
+from pgran.medium.base import check_frequency, warn_above_modes
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Asked, Caution
+from pgran.run.machine import check_memory
 from pgran.run.options import INTEGER, INTEGERS, REAL, REALS, TEXT, Option
+from pgran.run.task import Task
 
 log = logging.getLogger("pgran")
 UNSTABLE = "springs of negative constants (pre-stress) make this network unstable"
+LONGEST_UNIT = 16  # frequencies that share factorizations
 
 # What a user may ask of the driven steady states, by the keywords of `SteadySolver`, and of the
 # functions that have them.
@@ -90,9 +94,102 @@ def is_unstable(lattice, world):
     """Return whether springs of negative constants make some motions grow. Collective."""
     if lattice.semidefinite:
         return False
-    from pgran.driven.certify import is_stable
+    from pgran.driven.counting import is_stable
 
     return not on_root(world, lambda: is_stable(lattice.in_own_unit()[0]))
+
+
+class FrequencySweep(Task):
+    """Steady states of one lattice, one frequency after the other; a scene says what it keeps.
+
+    Frequencies `omegas` (nw,) are angular and increase, `sites` (nd, dim) are the detectors. `kept`
+    are the fields of a row, named like those of `SteadyState` where they hold the same; `choices`
+    are keywords of `steady.SteadySolver`; `sigma` is the real part of s = sigma + i omega.
+    """
+
+    items = "frequencies"
+    key = "sweep_points"  # the option that says how many there are
+
+    def __init__(self, lattice, omegas, sites, kept, choices, sigma=0.0):
+        self.lattice, self.sites, self.omegas = lattice, sites, np.asarray(omegas)
+        self.row, self.choices = np.dtype([*kept, ("factorizations", np.int64)]), choices
+        key = "output_fields" if "field" in self.row.names else self.key
+        check_memory(key, len(self.omegas) * self.row.itemsize)
+        self.s = sigma + 1j * self.omegas
+        self.scaled, self.unit = lattice.in_own_unit()
+        check_frequency(self.scaled, self.omegas[-1])
+        self.units = ranges(len(self.omegas))
+
+    def prepare(self, operators):
+        """Make what `keep` needs of the lattice at all frequencies. Collective over a group."""
+
+    def keep(self, point, solver):
+        """Put into a row what is wanted besides a `SteadyState`. Collective over a group."""
+
+    def complete(self, points):
+        """Put into the rows of a unit what is computed for all of them together."""
+
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`."""
+        from pgran.driven.operators import Operators
+
+        with Operators(self.scaled, group) as operators, self.solver(operators) as solver:
+            self.prepare(operators)
+
+            def work(unit):
+                solver.restart()
+                points = np.zeros(len(unit), self.row)
+                for point, s in zip(points, self.s[unit.start : unit.stop], strict=True):
+                    before = solver.factorizations
+                    self.solve(point, solver, s)
+                    point["factorizations"] = solver.factorizations - before
+                self.complete(points)
+                return points
+
+            yield work
+
+    def solver(self, operators):
+        """Return what solves. Collective over a group."""
+        from pgran.driven.steady import SteadySolver
+
+        return SteadySolver(operators, self.sites, **self.choices)
+
+    def solve(self, point, solver, s):
+        """Solve at an s, and put into a row what is wanted. Collective over a group."""
+        state = solver.solve(s)
+        for name in set(state._fields) & set(self.row.names):
+            point[name] = getattr(state, name)
+        self.keep(point, solver)
+
+    def sample(self, unit):
+        """See `Task`."""
+        return unit[:2]
+
+
+def ranges(count):
+    """Cut a sweep into ranges of frequencies, in the same way for any number of ranks."""
+    length = min(LONGEST_UNIT, max(1, count // 64))
+    return [range(start, min(start + length, count)) for start in range(0, count, length)]
+
+
+class PatternSweep(FrequencySweep):
+    """What patterns of balls pass on to one another, at one s = sigma + i omega after the other.
+
+    A scene puts into a row, in `keep`, what it wants of the solved patterns.
+    """
+
+    def solver(self, operators):
+        """See `FrequencySweep`."""
+        from pgran.driven.patterns import PatternSolver
+
+        return PatternSolver(operators, **self.choices)
+
+    def solve(self, point, solver, s):
+        """See `FrequencySweep`."""
+        solver.solve(s)
+        self.keep(point, solver)
+        point["backward_error"] = solver.backward_error
 
 
 def reached_accuracy(record, good):

@@ -10,6 +10,8 @@ import math
 from mpi4py import MPI
 
 from pgran.driven.operators import Owner
+from pgran.errors import is_bad_input
+from pgran.run.agreement import met_by_all
 from pgran.run.petsc import PETSc, solved
 
 FACTORIZATIONS, INCOMPLETE = ("lu", "cholesky"), ("ilu", "icc")
@@ -274,6 +276,16 @@ def accept_small_pivots(pc):
     if options.getString("pc_factor_shift_type", usual).lower() != "positive_definite":
         pc.setFactorPivot(zeropivot=0.0)
         pc.setFromOptions()
+
+
+def ends_run(error, works, comm):
+    """Return whether an error of PETSc ends the run instead of being marked. Collective.
+
+    That is the fault of a callback, of an option if no factorization `works`, or one that not all
+    ranks of the lattice met.
+    """
+    of_option = is_bad_input(error) and not works
+    return bool(error.__cause__ or of_option) or not met_by_all(comm)
 
 
 class ReusePolicy:

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from mpi4py import MPI
 
-from pgran.driven.accurate import is_accurate
+from pgran.driven.amplitudes import is_accurate
 from pgran.driven.columns import Columns, Solved
 from pgran.driven.steady import SteadySolver
 from pgran.medium.base import EPSILON, SMALLEST_NORMAL
@@ -150,7 +150,7 @@ class PatternSolver(SteadySolver):
 
     def _errors(self, fields):
         """Return bounds of the fields' errors, unknown by unknown, or None: see `comparison`."""
-        comparison = self._judge.comparison
+        comparison = self.bounds.comparison
         if not comparison.prepare():
             return None
         errors = np.empty(fields.solution.shape)

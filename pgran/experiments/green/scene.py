@@ -4,9 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgran.driven.accurate import below_relative_accuracy, is_accurate
-from pgran.driven.drive import STEADY, reached_accuracy
-from pgran.driven.sweep import PatternSweep
+from pgran.driven.amplitudes import below_relative_accuracy, is_accurate
+from pgran.driven.drive import STEADY, PatternSweep, reached_accuracy
 from pgran.experiments.green.record import Green
 from pgran.medium.base import ALONG, EPSILON, medium, warn_above_modes
 from pgran.run.agreement import agreeing
@@ -115,7 +114,7 @@ class GreenSweep(PatternSweep):
         fields = self.scaled.displacements(force.reshape(-1, *self.scaled.shape))
         return fields.reshape(force.shape)
 
-    def compute(self, point, solver, s):
+    def keep(self, point, solver):
         """See `PatternSweep`."""
         heard = len(self.receivers)
         values, bounds = solver.products(self.heard, self.pushed)

@@ -27,8 +27,7 @@ from functools import cache
 
 import numpy as np
 
-from pgran.driven.inertia import RealFactors
-from pgran.driven.singular import doubled, least_estimate, proven_least
+from pgran.driven.factors import RealFactors, doubled, least_estimate, proven_least
 from pgran.medium.base import EPSILON
 from pgran.medium.graph import elimination_order
 from pgran.medium.springs import SYMMETRIC

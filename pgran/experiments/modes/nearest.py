@@ -21,7 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgran.driven.inertia import RealFactors, real_matrix
+from pgran.driven.counting import real_matrix
+from pgran.driven.factors import RealFactors
 from pgran.medium.base import EPSILON
 from pgran.run.petsc import PETSc
 

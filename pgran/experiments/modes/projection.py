@@ -4,8 +4,8 @@ import numpy as np
 
 from pgran.arguments import shown
 from pgran.driven import drive as driven
-from pgran.driven.phase import fit_line
-from pgran.driven.sweep import FrequencySweep
+from pgran.driven.amplitudes import fit_line
+from pgran.driven.drive import FrequencySweep
 from pgran.errors import InputError
 from pgran.experiments.modes.find import SITES, find_modes
 from pgran.experiments.modes.record import Projection

@@ -19,8 +19,8 @@ import math
 
 import numpy as np
 
-from pgran.driven.accurate import Limits
-from pgran.driven.sweep import FrequencySweep
+from pgran.driven.amplitudes import Limits
+from pgran.driven.drive import FrequencySweep
 from pgran.medium.base import EPSILON
 
 SIGMA_TIME = 16.0  # sigma times the time wanted
@@ -266,7 +266,7 @@ def largest_speed(limits, pulse, t):
 
 def limits_of(lattice):
     """Return what bounds the motion of a lattice."""
-    from pgran.driven.certify import smallest_damping
+    from pgran.driven.counting import smallest_damping
 
     (drive, damped), unit = lattice.drive_norms, lattice.damping_unit
     return Limits(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pgran.driven import drive as driven
-from pgran.driven.accurate import below_relative_accuracy
+from pgran.driven.amplitudes import below_relative_accuracy
 from pgran.errors import InputError
 from pgran.experiments.relaxation import fluctuations
 from pgran.experiments.relaxation.record import Relaxation

@@ -24,16 +24,17 @@ residuals
     r = r0 + R gamma - B h,        h = gamma + Delta (w + G gamma),
     r_z = q0 + R eta - B g,        g = eta + Delta (q + G eta),
 
-h and g being what the algebra misses. As in `pgran.driven.bounds`, x_d + z^T r is wrong by at most
-|r|_2 |r_z|_2 |S^-1|_2, and damping bounds S^-1 for all steps alike. Up to products of residuals
-with Y that sum is the amplitude at the start plus q^T gamma - (q + G eta)^T h, which is reported.
+h and g being what the algebra misses. As in `pgran.driven.accuracy`, x_d + z^T r is wrong by at
+most |r|_2 |r_z|_2 |S^-1|_2, and damping bounds S^-1 for all steps alike. Up to products of
+residuals with Y that sum is the amplitude at the start plus q^T gamma - (q + G eta)^T h, which is
+reported.
 """
 
 import contextlib
 
 import numpy as np
 
-from pgran.driven.accurate import is_accurate
+from pgran.driven.amplitudes import is_accurate
 from pgran.driven.columns import Columns
 from pgran.driven.deformation import Deformation, amplitudes, march
 from pgran.driven.operators import Owner

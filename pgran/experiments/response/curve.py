@@ -73,7 +73,7 @@ def choose_method(method, lattice, omegas, tolerance, fields):
 
 def _why_no_curve(lattice, omegas, fields):
     """Return in words what makes models impossible, or None."""
-    from pgran.driven.certify import smallest_damping, smallest_loss
+    from pgran.driven.counting import smallest_damping, smallest_loss
     from pgran.driven.linear import is_factored
 
     if not lattice.dissipates:

@@ -16,8 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pgran.driven.certify import smallest_damping, smallest_loss
-from pgran.driven.judge import Detectors
+from pgran.driven.accuracy import Detectors
+from pgran.driven.counting import smallest_damping, smallest_loss
 from pgran.driven.linear import LEAST_NORM, make_ksp, set_up
 from pgran.driven.operators import Owner
 from pgran.errors import is_bad_input, petsc_message
@@ -69,8 +69,7 @@ class IntervalModels(Owner):
     def _read(self, sites):
         """Keep this rank's rows of M, and of g_0, g_1 of each system; e_d, 0 of an adjoint."""
         operators, damping = self.operators, self.operators.damping
-        with Detectors(operators, sites) as detectors:
-            units = detectors.unit_vectors()
+        units = Detectors(operators, sites).unit_vectors()
         loads = [operators.f_stiffness, *units]
         self._loads = np.zeros((len(loads), operators.last - operators.first, 2), complex)
         for load, vector in zip(self._loads, loads, strict=True):

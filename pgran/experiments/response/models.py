@@ -12,7 +12,7 @@ S z = e_d have the residuals
 
 and q alike, so that two small solves and the triangle R of W = Q R give |r|_2 = |R c|_2. (From the
 Gram matrix W^H W it would lose half its digits, which amplitudes above the highest mode need.) As
-in `pgran.driven.bounds`, e_d^T X y + (Z w)^T r misses A_d by q^T S^-1 r, at most |q| |r| |S^-1|.
+in `pgran.driven.accuracy`, e_d^T X y + (Z w)^T r misses A_d by q^T S^-1 r, at most |q| |r| |S^-1|.
 
 With y' and w' that solve the derivatives of the small systems, r' = W c' and q' are small as well,
 and the derivative of the corrected amplitude misses dA_d/domega by
@@ -34,7 +34,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgran.driven.accurate import Limits
+from pgran.driven.amplitudes import Limits
 from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 
 BLOCK = 400  # rows that are factored at once, and stay in the cache

@@ -16,7 +16,7 @@ Where A and z are known to errors a and c in the 2-norm, y_b t_b is wrong by at 
 
 import numpy as np
 
-from pgran.driven.sweep import FrequencySweep
+from pgran.driven.drive import FrequencySweep
 from pgran.experiments.sensitivity.record import Sensitivity
 from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 from pgran.store.record import columns_of, row_of

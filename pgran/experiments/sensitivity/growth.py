@@ -242,7 +242,7 @@ class Unrest:
     """
 
     def __init__(self, network, left, blurred, gap):
-        from pgran.driven.certify import least_stiffness
+        from pgran.driven.counting import least_stiffness
 
         self.seen, weights = Radii(network, relax=False), network.weights[:: network.components]
         floats, held = int(not network.held[network.bond].any()), network.held.copy()

@@ -144,7 +144,7 @@ class HeatSweep(AdjointSweep):
             name: finite.Flexibility(operators, springs) for name, springs in groups
         }
         if self.differentiated:
-            from pgran.driven.certify import least_stiffness
+            from pgran.driven.counting import least_stiffness
             from pgran.experiments.sensitivity.radii import Radii, with_vectors
 
             least = least_stiffness(with_vectors(self.scaled)) if self.relaxed else 0.0

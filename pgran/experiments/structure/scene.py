@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgran.driven.drive import STEADY, UNSTABLE, is_unstable
-from pgran.driven.sweep import PatternSweep
+from pgran.driven.drive import STEADY, UNSTABLE, PatternSweep, is_unstable
 from pgran.errors import InputError
 from pgran.experiments.structure.record import Structure
 from pgran.medium.base import AXES, EPSILON, medium, record_of, warn_above_modes
@@ -156,9 +155,9 @@ class Spectra(PatternSweep):
             self.lattice.undamped(), self.omegas, self.s.real, self.waves, self.groups, self.choices
         )
 
-    def compute(self, point, solver, s):
+    def keep(self, point, solver):
         """See `PatternSweep`."""
-        G, bounds = solver.diagonal(self.patterns)
+        s, (G, bounds) = solver.operators.s, solver.diagonal(self.patterns)
         bounds = bounds + (len(G) + 8) * EPSILON * np.abs(G)  # what follows is rounded, too
         # Re(s G), of the velocity that a force makes, is -omega Im G at s = i omega
         scale = 2 * self.scaled.mass / np.pi

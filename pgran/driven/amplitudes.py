@@ -1,4 +1,7 @@
-"""Phases of amplitudes over a sweep, and the straight line that gives a phase velocity."""
+"""Amplitudes: what bounds their errors, which are accurate enough, and their phases. NumPy only.
+
+The straight line through a phase over a sweep gives a phase velocity.
+"""
 
 from dataclasses import dataclass
 
@@ -11,6 +14,38 @@ from pgran.store.estimate import counted
 CERTAIN = 0.25
 BLOCKS = 10  # of the window of a fit, each several resonances wide
 BENT = 2.0  # a phase is no line if its slope in one half of the window is so many times the other's
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Norms from which bounds of a response follow, in the medium's own unit.
+
+    |S(i omega) x|_2 >= omega stability |x|_2, with stability = lambda_min(C). The norms of
+    |K|, |C| and |M|, entries taken by magnitude, all damping in C, are no more than `stiffness`,
+    `damping` and `mass`; |f(s)|_2 is at most drive + |s| drive_damping.
+    """
+
+    stability: float
+    stiffness: float
+    damping: float
+    mass: float
+    drive: float
+    drive_damping: float
+
+
+def is_accurate(bound, amplitude, tolerance):
+    """Return where errors are small against the true amplitudes; NaN is no bound and not accurate.
+
+    With |A~| the amplitude found and b its bound, |A| >= |A~| - b; so b <= t (|A~| - b) proves the
+    relative tolerance t.
+    """
+    return bound * (1 + tolerance) <= tolerance * np.abs(amplitude)
+
+
+def below_relative_accuracy(error_bound, amplitude, tolerance):
+    """Return which amplitudes have a bound, but miss the relative accuracy."""
+    missed = np.isfinite(error_bound) & ~is_accurate(error_bound, amplitude, tolerance)
+    return missed.astype(np.int8)
 
 
 def phase_of_sign(displacement):
@@ -131,14 +166,3 @@ def group_delay(amplitude, derivative, error_bound, derivative_bound):
         bound = 1.01 * (derivative_bound + np.abs(ratio) * error_bound) / room
     bounded = (room > 0) & np.isfinite(bound)
     return np.where(bounded, -ratio.imag, np.nan), np.where(bounded, bound, np.inf)
-
-
-def phase_velocity(slope, distance):
-    """Return the velocity in spacings times omega_mx (paper: phsvel).
-
-    The slope of the phase is in rad per omega_mx, the distance from the driven wall in spacings. It
-    is no speed of sound: absorbing diffusion makes the slope fall like 1 / sqrt(beta), seen from
-    .003 to .03, and a pulse arrives far earlier.
-    """
-    with np.errstate(divide="ignore"):
-        return distance / np.abs(slope)

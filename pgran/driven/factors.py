@@ -1,4 +1,4 @@
-"""Factors of K - shift, how many eigenvalues they tell to lie below it, and how sure that is.
+"""Factors of symmetric matrices, how many eigenvalues they tell to lie below a shift, and how sure.
 
 SuperLU eliminates without moving rows, as long as no pivot is zero: K - shift = L U. Rounding keeps
 U from being D L^T, D its diagonal, so that
@@ -10,6 +10,13 @@ Accuracy and Stability of Numerical Algorithms, theorem 9.3; SuperLU multiplies 
 a pivot, which is one more). By Sylvester's law D has as many negative entries as K - E has
 eigenvalues below the shift, so their number lies between those of K below shift - |E|_2 and below
 shift + |E|_2. All this holds unless numbers underflow.
+
+The same gives singular values: S = S^T, as S(s) is for any law of damping and any s, makes
+
+    T = [[Re S, Im S], [Im S, -Re S]]
+
+real and symmetric with the eigenvalues +-sigma_i of S (Takagi): T (Re x, Im x) is S conj(x). So no
+sigma_i is below c exactly where T - c has as many negative pivots as S has rows.
 """
 
 from functools import cached_property
@@ -20,6 +27,7 @@ from pgran.medium.base import EPSILON
 
 PASSES = 4  # of a power iteration, each of which sharpens a bound
 ROUNDED = 1.01  # covers the rounding of the bound itself
+SHARP = 0.05  # of a shift: how sharp the bound of the factors' error need be
 
 
 class RealFactors:
@@ -101,14 +109,58 @@ class RealFactors:
         return bound if np.isfinite(bound) else np.inf
 
 
-def real_matrix(K):
-    """Return the real part of a symmetric PETSc.Mat of this rank alone, sparse by columns."""
-    return complex_matrix(K).real.copy()  # which SuperLU needs in one piece
+def proven_gap(K, shift, count, rounding=0.0):
+    """Return a positive number near a shift for which just `count` eigenvalues are smaller.
+
+    0 where that is not certain. `K` is a real matrix for `RealFactors`, known up to one of the
+    2-norm `rounding`.
+    """
+    if not shift > 2 * rounding:  # NaN too
+        return 0.0
+    try:
+        factors = RealFactors(K, shift)
+    except ZeroDivisionError:
+        return 0.0
+    if factors.negative != count:
+        return 0.0
+    # the factors are those of a matrix as near to K as their error: so are its eigenvalues
+    return max(0.99 * (shift - factors.error(SHARP * shift) - rounding), 0.0)
 
 
-def complex_matrix(S):
-    """Return a symmetric PETSc.Mat of this rank alone as a scipy.sparse.csc_matrix."""
-    from scipy.sparse import csc_matrix
+def proven_least(S, c, rounding=0.0):
+    """Return a number that no singular value of S is below, near c; 0 if that is not certain.
 
-    pointer, columns, values = S.getValuesCSR()  # symmetric: rows are columns
-    return csc_matrix((values, columns, pointer), S.getSize())
+    `S` is a scipy.sparse matrix, complex and symmetric, numbered in the order of elimination, and
+    known up to a matrix of the 2-norm `rounding`.
+    """
+    return proven_gap(doubled(S), c, S.shape[0], rounding)
+
+
+def doubled(S):
+    """Return T, sparse by columns: the real and imaginary part of an unknown side by side."""
+    from scipy.sparse import csc_matrix, kron
+
+    real, imaginary = csc_matrix(S.real), csc_matrix(S.imag)
+    apart, crossed = np.diag([1.0, -1.0]), np.array([[0.0, 1.0], [1.0, 0.0]])
+    T = (kron(real, apart) + kron(imaginary, crossed)).tocsc()
+    T.sort_indices()
+    return T
+
+
+def least_estimate(solve, size, enough=0.0, steps=8):
+    """Return an estimate of the smallest singular value of S from above; `solve` is by S.
+
+    Inverse iteration of S conj(S): y becomes S^-1 conj(S^-1 conj(y)). It ends where the value is
+    below what would be `enough`.
+    """
+    y = np.random.Generator(np.random.Philox(1)).standard_normal(size) + 0j
+    y /= np.linalg.norm(y)
+    length = 1.0
+    for _ in range(steps):
+        x = solve(y.conj())
+        length = np.linalg.norm(x)
+        if not length * enough < 1:
+            break
+        y = solve(x.conj())
+        y /= np.linalg.norm(y)
+    return 1.0 / length
