@@ -7,7 +7,8 @@ omega_0, S = S_0 + d S_1 + d^2 S_2 and f = f_0 + d f_1 they follow from the fact
 
 f_k being 0 from k = 2 on, and those of a detector's adjoint from the same with e_d for f_0. A and
 all adjoints are solved as one block of right-hand sides. Models are evaluated by `models`; they
-need damping, which bounds S^-1 for all frequencies alike.
+need damping, which bounds S^-1 for all frequencies alike. Tall matrices, whose rows several ranks
+hold, are factored block by block.
 """
 
 import logging
@@ -18,29 +19,20 @@ import numpy as np
 
 from pgran.driven.accuracy import Detectors
 from pgran.driven.counting import smallest_damping, smallest_loss
-from pgran.driven.linear import LEAST_NORM, make_ksp, set_up
+from pgran.driven.linear import LEAST_NORM, ends_run, make_ksp, set_up
 from pgran.driven.operators import Owner
-from pgran.errors import is_bad_input, petsc_message
-from pgran.experiments.response.models import (
-    SUMMED,
-    ModelLimits,
-    evaluate,
-    moments_of,
-    poles,
-    products,
-    qr_rounding,
-    squares,
-    tall_qr,
-)
+from pgran.errors import petsc_message
+from pgran.experiments.response.models import ModelLimits, evaluate, moments_of, poles, squares
 from pgran.experiments.response.record import model_dtype
 from pgran.medium.base import EPSILON
-from pgran.run.agreement import met_by_all
 from pgran.run.petsc import PETSc
 
 log = logging.getLogger("pgran")
 
 CHECKS = 9  # Chebyshev points of an interval where its bound is checked
 SHARE = 0.5  # of what rounding leaves of the allowed, where it is checked; for what is between
+BLOCK = 400  # rows that are factored at once, and stay in the cache
+SUMMED = 256  # rows of a product that are summed up on their own
 
 
 class IntervalModels(Owner):
@@ -63,21 +55,15 @@ class IntervalModels(Owner):
         self._rhs, self._solution, self._image = (operators.block(systems) for _ in range(3))
         columns = (systems + 1) * self.width
         self._columns, self._products = (operators.block(columns) for _ in range(2))
-        self._read(sites)
-        self.limits = self._limits(sites)
-
-    def _read(self, sites):
-        """Keep this rank's rows of M, and of g_0, g_1 of each system; e_d, 0 of an adjoint."""
-        operators, damping = self.operators, self.operators.damping
+        # this rank's rows of g_0, g_1 of each system: of an adjoint e_d, 0
         units = Detectors(operators, sites).unit_vectors()
-        loads = [operators.f_stiffness, *units]
-        self._loads = np.zeros((len(loads), operators.last - operators.first, 2), complex)
-        for load, vector in zip(self._loads, loads, strict=True):
+        self._loads = np.zeros((systems, operators.last - operators.first, 2), complex)
+        for load, vector in zip(self._loads, [operators.f_stiffness, *units], strict=True):
             load[:, 0] = vector.getArray()
-        self._loads[0, :, 1] = 1j * damping * operators.f_damping.getArray()
-        self._mass = operators.M.getArray().real[:, None].copy()
+        self._loads[0, :, 1] = 1j * operators.damping * operators.f_damping.getArray()
         for vector in units:
             vector.destroy()
+        self.limits = self._limits(sites)
 
     @cached_property
     def _ksp(self):
@@ -94,7 +80,7 @@ class IntervalModels(Owner):
             stability=operators.damping * smallest_damping(operators.lattice),
             stiffness=1.01 * operators.stiffness_norm,
             damping=1.01 * operators.damping * operators.lattice.damping_norm,
-            mass=1.01 * self._largest(self._mass).item(),
+            mass=1.01 * operators.mass,
             drive=drive,
             drive_damping=damped,
             rounding=rounding + 4 * qr_rounding(2 + 2 * self.width),
@@ -107,24 +93,24 @@ class IntervalModels(Owner):
         """Return a sum over the ranks of the lattice, the same on each."""
         return part if self.comm.size == 1 else sum(self.comm.allgather(part))
 
-    def _largest(self, numbers):
-        """Return the largest numbers in the rows, the last axis but one, of all ranks."""
-        largest = np.maximum(np.abs(numbers.real), np.abs(numbers.imag)).max(axis=-2)
-        return np.max(self.comm.allgather(largest), axis=0)
-
     def cover(self, low, high):
         """Yield models of intervals that follow each other from `low` to `high`, one row each.
 
-        Collective. An interval that misses its accuracy anywhere is shortened by the order of the
-        model; where rounding forbids the accuracy, the model is marked as not proven. Nothing
+        Collective. Where rounding forbids the accuracy, the model is marked as not proven. Nothing
         depends on clocks.
         """
-        # `ahead` holds the far ends of intervals that were too long: each was factored already, and
-        # becomes an end of a later one. Up to the nearest the way is cut into equal pieces.
+        # Strategy: the model of an interval takes the moments at its two ends, each a factorization
+        # that the next interval shares. An interval whose bound misses the accuracy is shortened by
+        # the order of the model, m moments at both ends: the bound grows like length^(4 m). The far
+        # ends of intervals that were too long, which are factored already, wait `ahead`, to become
+        # ends of later ones; up to the nearest of them the way is cut into equal pieces.
         #
         #     low         start   end     ahead[-1]            ahead[-2]            ahead[0] = high
         #      |==|==|=====|.......|.......|....................|....................|
         #         yielded     tried
+        #
+        # Where rounding alone misses the accuracy no shorter interval is better: it is yielded as
+        # it is, and the next one is twice as long.
         start, ahead, step, done = low, [high], 2 * self.length(low), self.factorizations
         moments = {}  # at `start`, and at ends ahead
         while ahead:
@@ -135,13 +121,13 @@ class IntervalModels(Owner):
                     moments[omega] = self.moments(omega)
             model = self._model(start, end, moments[start], moments[end])
             # the first rank's: a last digit must not part the ranks' ways
-            missed, in_vain = self.comm.bcast(self._missed(model[0]))
-            # missed ~ length^(4 m) of m moments: the length that would just be accurate, in limits
+            missed, rounded = self.comm.bcast(self._missed(model[0]))
+            # the length that would just be accurate, in limits
             reach = 0.9 * max(missed, 1e-300) ** (-1 / (4 * self._count))
             reach = min(max(reach, 0.3), 3.0 if missed <= 1 else 0.8)
-            step = (end - start) * (2.0 if in_vain else reach)
+            step = (end - start) * (2.0 if rounded else reach)
             shortest = max(self.length(start) / 16, 1e-9 * start)
-            if missed <= 1 or in_vain or end - start <= shortest:
+            if missed <= 1 or rounded or end - start <= shortest:
                 model["proven"] = missed <= 1
                 model["factorizations"] = self.factorizations - done
                 yield model
@@ -154,7 +140,7 @@ class IntervalModels(Owner):
                 ahead.append(end)
 
     def _missed(self, model):
-        """Return the largest bound relative to what is allowed; whether shortening is in vain.
+        """Return the largest bound relative to what is allowed; whether rounding alone exceeds it.
 
         Checked at the ends, at Chebyshev points, and above the poles.
         """
@@ -168,12 +154,13 @@ class IntervalModels(Owner):
         points = evaluate(model, checked, self.limits, derivatives=False)
         with np.errstate(all="ignore"):
             allowed = self.tolerance * np.abs(points["displacement"]) / (1 + self.tolerance)
+            # the part of a bound that the length decides may be a share of what rounding leaves
             room = allowed - points["rounding"]
             missed = (points["error_bound"] - points["rounding"]) / (SHARE * room)
-            in_vain = ~np.all(room > 0, axis=1)
-            missed = np.where(in_vain, np.inf, missed.max(axis=1))
+            rounded = ~np.all(room > 0, axis=1)
+            missed = np.where(rounded, np.inf, missed.max(axis=1))
         missed[np.isnan(missed)] = np.inf
-        return missed.max(), np.any(in_vain)
+        return missed.max(), np.any(rounded)
 
     def moments(self, omega):
         """Return the moments of A and of the adjoints, shape (systems, own balls, m).
@@ -187,8 +174,7 @@ class IntervalModels(Owner):
             if set_up(ksp, self.operators.S, self.operators):
                 moments = self._series(omega)
         except PETSc.Error as error:
-            wrong_options = is_bad_input(error) and not self._works
-            if error.__cause__ or wrong_options or not met_by_all(self.comm):
+            if ends_run(error, self._works, self.comm):
                 raise
             log.warning("no model at omega = %g: %s", omega, petsc_message(error))
         if moments is None:
@@ -200,7 +186,7 @@ class IntervalModels(Owner):
     def _series(self, omega):
         """Return the moments at a frequency whose S is factored."""
         operators, factor = self.operators, self._ksp.getPC().getFactorMatrix()
-        h, damping = self.length(omega), operators.damping
+        h, damping, mass = self.length(omega), operators.damping, operators.mass
         g = operators.f.getArray()[:, None]
         rhs = np.concatenate([g, self._loads[1:, :, 0].T], axis=1)
         x = np.empty((self._count, *rhs.shape), dtype=complex)
@@ -211,11 +197,11 @@ class IntervalModels(Owner):
             x[k] = self._solution.getDenseArray(readonly=True)
             operators.C.matMult(self._solution, self._image)
             damped = 1j * damping * self._image.getDenseArray(readonly=True)
-            rhs = -h * (damped - 2 * omega * self._mass * x[k])
+            rhs = -h * (damped - 2 * omega * mass * x[k])
             if k == 0:
                 rhs[:, 0] += h * self._loads[0, :, 1]
             else:
-                rhs += h * h * self._mass * x[k - 1]
+                rhs += h * h * mass * x[k - 1]
         return np.ascontiguousarray(x.transpose(2, 1, 0))
 
     def _model(self, low, high, *moments):
@@ -224,29 +210,31 @@ class IntervalModels(Owner):
         into = model[0]
         into["low"], into["high"] = low, high
         moments = np.concatenate(moments, axis=-1)  # (systems, own balls, columns)
-        largest = self._largest(moments)
+        largest = np.maximum(np.abs(moments.real), np.abs(moments.imag)).max(axis=-2)
+        largest = np.max(self.comm.allgather(largest), axis=0)
         if not np.all(np.isfinite(largest)):
             into["own"] = np.nan
             return model
         # Where there are fewer balls than moments, as many columns span everything.
         X, _ = tall_qr(moments / np.maximum(largest, LEAST_NORM)[:, None], self.comm)
         X = X[..., : self.width]
-        K, C = self._applied([*X, np.abs(X[0])], (self.operators.K, self.operators.C))
-        W = np.concatenate([self._loads, K[:-1], 1j * C[:-1], -self._mass * X], axis=-1)
+        operators, size = self.operators, np.abs(X[0])
+        K, C = self._applied([*X, size], (operators.K, operators.C))
+        W = np.concatenate([self._loads, K[:-1], 1j * C[:-1], -operators.mass * X], axis=-1)
         into["own"], across = self._across(X, W)
         into["triangle"] = self._triangle(X, W, across)
         into["cross"] = self._total(products(X[1:], W[0]))
         into["reading"] = self._total(self._loads[1:, :, 0].real @ X[0])
         # |S| |X| at the highest frequency
-        sizes = high * high * self._mass * np.abs(X[0])
-        if self.operators.laplacian:
+        sizes = high * high * operators.mass * size
+        if operators.laplacian:
             # |K| has the same diagonal as K, and so on; its other entries are those of -K.
-            stiff, damped = self.operators.doubled_diagonals
-            doubled = stiff + high * self.operators.damping * damped
-            sizes += doubled[:, None] * np.abs(X[0])
+            stiff, damped = operators.doubled_diagonals
+            doubled = stiff + high * operators.damping * damped
+            sizes += doubled[:, None] * size
             sizes -= K[-1].real + high * C[-1].real
         else:
-            K, C = self._applied([*X, np.abs(X[0])], self.operators.sizes[::2])
+            K, C = self._applied([*X, size], operators.sizes[::2])
             sizes += K[-1].real + high * C[-1].real
         drive = np.abs(self._loads[0]) @ [1.0, high]
         Z = np.abs(X[1:]).swapaxes(1, 2)
@@ -291,3 +279,51 @@ class IntervalModels(Owner):
             product = product.reshape(-1, len(blocks), width).swapaxes(0, 1)
             images.append(np.array(product, order="C"))
         return images[0], self.operators.damping * images[1]
+
+
+def tall_qr(columns, comm):
+    """Return Q, this rank's rows, and R of the QR factorizations of tall matrices, whole.
+
+    Collective over `comm`, whose ranks hold the rows, the last axis but one; R is the same on all.
+    """
+    q, r = _qr(columns)
+    if comm.size == 1:
+        return q, r
+    parts = comm.allgather(r)
+    q2, r = np.linalg.qr(np.concatenate(parts, axis=-2))
+    start = sum(part.shape[-2] for part in parts[: comm.rank])
+    return q @ q2[..., start : start + q.shape[-1], :], r
+
+
+def _qr(columns):
+    """Factor block by block, small enough for the cache, then the triangles of the blocks."""
+    *several, rows, width = columns.shape
+    blocks = rows // max(BLOCK, 4 * width)
+    if blocks < 2:
+        return np.linalg.qr(columns)
+    padding = [(0, 0)] * len(several) + [(0, -rows % blocks), (0, 0)]
+    q, r = np.linalg.qr(np.pad(columns, padding).reshape(*several, blocks, -1, width))
+    q2, r = _qr(r.reshape(*several, -1, width))
+    q = q @ q2.reshape(*several, blocks, width, width)
+    return q.reshape(*several, -1, width)[..., :rows, :], r
+
+
+def qr_rounding(width):
+    """Return a u: W - Q R can be computed but for u times the norms of R's columns, and is no more.
+
+    Each entry is a sum of `width` products of complex numbers.
+    """
+    return 2 * EPSILON * (width + 4) * math.sqrt(width)
+
+
+def products(Z, W):
+    """Return Z^T W of this rank's rows, block by block: rounding adds up in short sums."""
+    if len(W) <= 2 * SUMMED:
+        return Z.swapaxes(-1, -2) @ W
+    blocks = -(-len(W) // SUMMED)
+    Z, W = (
+        np.pad(x, [*[(0, 0)] * (x.ndim - 2), (0, blocks * SUMMED - len(W)), (0, 0)])
+        .reshape(*x.shape[:-2], blocks, SUMMED, x.shape[-1])
+        for x in (Z, W)
+    )  # fmt: skip
+    return (Z.swapaxes(-1, -2) @ W).sum(axis=-3)

@@ -25,8 +25,7 @@ rounding moves it by is bounded through |X y| <= |y|_1.
 What a model holds, with p columns in X and in each Z, system 0 that of A, then one a detector:
 `own`, X^T W of each system with its own W; `cross`, Z^T W with the W of A; `triangle`, R of each;
 `reading`, e_d^T X; `sizes`, |Z|^T |W| summed up at the highest frequency, and `drive_sizes`, the
-same of f, by which rounding is bounded. Tall matrices, whose rows several ranks hold, are factored
-block by block. NumPy only.
+same of f, by which rounding is bounded. NumPy only.
 """
 
 import math
@@ -35,10 +34,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgran.driven.amplitudes import Limits
-from pgran.medium.base import EPSILON, SMALLEST_NORMAL
+from pgran.medium.base import SMALLEST_NORMAL
 
-BLOCK = 400  # rows that are factored at once, and stay in the cache
-SUMMED = 256  # rows of a product that are summed up on their own
 # Moments of each right-hand side at each end: fewer where factorizations are cheap beside the dense
 # algebra of a model, up to so many unknowns.
 MOMENTS, FEWER_MOMENTS, FEW_UNKNOWNS = 8, 6, 1000
@@ -247,54 +244,6 @@ def poles(own, low, high):
     with np.errstate(all="ignore"):
         above = middle + (1 / inverse).real
     return np.where((low < above) & (above < high), above, np.nan)
-
-
-def tall_qr(columns, comm):
-    """Return Q, this rank's rows, and R of the QR factorizations of tall matrices, whole.
-
-    Collective over `comm`, whose ranks hold the rows, the last axis but one; R is the same on all.
-    """
-    q, r = _qr(columns)
-    if comm.size == 1:
-        return q, r
-    parts = comm.allgather(r)
-    q2, r = np.linalg.qr(np.concatenate(parts, axis=-2))
-    start = sum(part.shape[-2] for part in parts[: comm.rank])
-    return q @ q2[..., start : start + q.shape[-1], :], r
-
-
-def _qr(columns):
-    """Factor block by block, small enough for the cache, then the triangles of the blocks."""
-    *several, rows, width = columns.shape
-    blocks = rows // max(BLOCK, 4 * width)
-    if blocks < 2:
-        return np.linalg.qr(columns)
-    padding = [(0, 0)] * len(several) + [(0, -rows % blocks), (0, 0)]
-    q, r = np.linalg.qr(np.pad(columns, padding).reshape(*several, blocks, -1, width))
-    q2, r = _qr(r.reshape(*several, -1, width))
-    q = q @ q2.reshape(*several, blocks, width, width)
-    return q.reshape(*several, -1, width)[..., :rows, :], r
-
-
-def qr_rounding(width):
-    """Return a u: W - Q R can be computed but for u times the norms of R's columns, and is no more.
-
-    Each entry is a sum of `width` products of complex numbers.
-    """
-    return 2 * EPSILON * (width + 4) * math.sqrt(width)
-
-
-def products(Z, W):
-    """Return Z^T W of this rank's rows, block by block: rounding adds up in short sums."""
-    if len(W) <= 2 * SUMMED:
-        return Z.swapaxes(-1, -2) @ W
-    blocks = -(-len(W) // SUMMED)
-    Z, W = (
-        np.pad(x, [*[(0, 0)] * (x.ndim - 2), (0, blocks * SUMMED - len(W)), (0, 0)])
-        .reshape(*x.shape[:-2], blocks, SUMMED, x.shape[-1])
-        for x in (Z, W)
-    )  # fmt: skip
-    return (Z.swapaxes(-1, -2) @ W).sum(axis=-3)
 
 
 def squares(columns):

@@ -9,9 +9,8 @@ from pgran.driven import amplitudes as phases
 from pgran.driven import drive as driven
 from pgran.driven.amplitudes import and_more, below_relative_accuracy, is_accurate
 from pgran.driven.drive import FrequencySweep
-from pgran.experiments.response.curve import choose_method, solve_curve
+from pgran.experiments.response.curve import choose_method, line_errors, solve_curve
 from pgran.experiments.response.record import LINES, Response
-from pgran.experiments.response.resolution import line_errors
 from pgran.medium.base import EPSILON, medium
 from pgran.run.agreement import agreeing, on_root
 from pgran.run.experiment import (
