@@ -408,7 +408,7 @@ class NetworkLayout(Layout):
 
         They are blocks (w, w) of w unknowns a ball: one for each ball, one for each two in contact.
         """
-        from scipy.sparse import csc_matrix, csr_matrix
+        from scipy.sparse import bsr_matrix, csc_matrix, csr_matrix
 
         width, contacts = self.medium.components, self.medium.bonds
         first, last = self.first // width, self.last // width
@@ -422,11 +422,18 @@ class NetworkLayout(Layout):
         columns = np.concatenate([own, balls[ahead, 1], balls[back, 0]])
         shape = len(own), self.medium.free_balls
         blocks = csr_matrix((np.ones(len(rows), dtype=bool), (rows, columns)), shape)
-        places = self._number_nonzeros(blocks, width)
         blocks.data = np.arange(blocks.nnz, dtype=np.int32)  # look up which block is where
         # of no indices at all SciPy makes a sparse matrix
         found = np.asarray(blocks[rows, columns]).ravel() if len(rows) else rows
         itself, ahead_of, back_of = np.split(found, np.cumsum([len(own), len(ahead)]))
+        # `places` of each block: its nonzeros' numbers, counted row by row of the whole matrix
+        places = np.arange(blocks.nnz * width**2, dtype=np.int32).reshape(-1, width, width)
+        nonzeros = bsr_matrix((places, blocks.indices, blocks.indptr), np.multiply(shape, width))
+        nonzeros = nonzeros.tocsr()
+        places.ravel()[nonzeros.data] = np.arange(places.size)
+        self._pointer, self._columns = (
+            x.astype(PETSc.IntType) for x in (nonzeros.indptr, nonzeros.indices)
+        )
         # A spring at the unknowns p, q contributes B[s, p] B[s, q] k[s] to the nonzero (p, q). As a
         # matrix that is times the constants, a column for each spring: all springs of a contact
         # have their entries in the same rows. The last row is for what is not this rank's.
@@ -443,23 +450,6 @@ class NetworkLayout(Layout):
         pointer = (2 * width) ** 2 * np.arange(len(self._springs) + 1)
         matrix = products.ravel(), np.tile(target.ravel(), kinds), pointer
         self._contributions = csc_matrix(matrix, (places.size + 1, len(self._springs)))
-
-    def _number_nonzeros(self, blocks, width):
-        """Number the nonzeros of a sparse matrix of blocks row by row: shape (blocks, w, w).
-
-        A row of m blocks is w rows of m w nonzeros: row p holds the rows p of these blocks.
-        """
-        inside, counts = np.arange(width, dtype=np.int32), np.diff(blocks.indptr)
-        row = np.repeat(np.arange(len(counts)), counts)
-        before = blocks.indptr[row]  # so many blocks are in the rows above
-        corner = before * width**2 + (np.arange(blocks.nnz) - before) * width
-        step = (counts * width)[row]
-        places = corner[:, None, None] + step[:, None, None] * inside[:, None] + inside
-        lengths = np.repeat(counts * width, width)
-        self._pointer = np.append(0, np.cumsum(lengths)).astype(PETSc.IntType)
-        self._columns = np.empty(places.size, dtype=PETSc.IntType)
-        self._columns[places] = (blocks.indices[:, None] * width + inside)[:, None]
-        return places
 
     def csr(self, constants, size=unchanged):
         """Return row pointers, columns and nonzeros of B^T diag(k) B."""

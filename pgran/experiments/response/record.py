@@ -17,6 +17,7 @@ from pgran.store.record import (
     array,
     attribute,
     attribute_array,
+    error_of,
     part,
     row_of,
 )
@@ -37,6 +38,11 @@ class Curve(NamedTuple):
     derivative_bound: np.ndarray
 
 
+def of_intervals(meaning, units, *axes, dtype=float):
+    """Declare an array of a model, one for each interval."""
+    return array(meaning, units, "interval", *axes, dtype=dtype, row=True)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Models(ModelLimits, Record):
     """Models of the response, an interval of frequencies each; `models` says what.
@@ -46,30 +52,21 @@ class Models(ModelLimits, Record):
     """
 
     group, within = "models", "response"
-    low: np.ndarray = array("lower end of the interval, angular", "sqrt(k/m)", "interval", row=True)
-    high: np.ndarray = array(
-        "upper end of the interval, angular", "sqrt(k/m)", "interval", row=True
-    )
-    own: np.ndarray = array(
+    low: np.ndarray = of_intervals("lower end of the interval, angular", "sqrt(k/m)")
+    high: np.ndarray = of_intervals("upper end of the interval, angular", "sqrt(k/m)")
+    own: np.ndarray = of_intervals(
         "X^T W of each system: that of A, then one a detector",
-        "k", "interval", "system", "column", "place", dtype=complex, row=True,
+        "k", "system", "column", "place", dtype=complex,
     )  # fmt: skip
-    cross: np.ndarray = array(
-        "Z^T W with the W of A", "k", "interval", "detector_number", "column", "place",
-        dtype=complex, row=True,
-    )  # fmt: skip
-    triangle: np.ndarray = array(
-        "R of W = Q R", "k", "interval", "system", "row", "place", dtype=complex, row=True
+    cross: np.ndarray = of_intervals(
+        "Z^T W with the W of A", "k", "detector_number", "column", "place", dtype=complex
     )
-    reading: np.ndarray = array(
-        "e_d^T X", "1", "interval", "detector_number", "column", dtype=complex, row=True
+    triangle: np.ndarray = of_intervals(
+        "R of W = Q R", "k", "system", "row", "place", dtype=complex
     )
-    sizes: np.ndarray = array(
-        "|Z|^T |S| |X|", "k", "interval", "detector_number", "column", "other", row=True
-    )
-    drive_sizes: np.ndarray = array(
-        "|Z|^T |f|", "k", "interval", "detector_number", "column", row=True
-    )
+    reading: np.ndarray = of_intervals("e_d^T X", "1", "detector_number", "column", dtype=complex)
+    sizes: np.ndarray = of_intervals("|Z|^T |S| |X|", "k", "detector_number", "column", "other")
+    drive_sizes: np.ndarray = of_intervals("|Z|^T |f|", "k", "detector_number", "column")
 
     def at(self, omega):
         """Return the Curve at some frequencies: NaN, bounds infinite, where no model is proven."""
@@ -88,15 +85,15 @@ class Models(ModelLimits, Record):
 
 def model_dtype(columns, detectors, balls):
     """Return the dtype of a model that ranks send: X and each Z have so many columns, p."""
-    lengths = {
-        "detector_number": detectors,
-        "system": 1 + detectors,
-        "column": columns,
-        "other": columns,
-        "place": 2 + 3 * columns,  # columns of W
-        "row": columns + min(2 + 2 * columns, balls),
-    }
-    row = row_of(Models, **{name: (length,) for name, length in lengths.items()})
+    row = row_of(
+        Models,
+        detector_number=(detectors,),
+        system=(1 + detectors,),
+        column=(columns,),
+        other=(columns,),
+        place=(2 + 3 * columns,),  # columns of W
+        row=(columns + min(2 + 2 * columns, balls),),
+    )
     row += [("proven", np.int8), ("factorizations", np.int64)]
     row.append(("poles", float, (2 * columns,)))  # the frequencies above those of system 0
     return np.dtype(row)
@@ -145,17 +142,14 @@ class Response(Frequencies):
         "derivative of the displacement along omega", "sqrt(m/k)", "omega", "detector_number",
         dtype=complex, since=3, row=True,
     )  # fmt: skip
-    derivative_bound: np.ndarray = array(
-        "bound of the error of the derivative; NaN: none is known",
-        "sqrt(m/k)", "omega", "detector_number", since=3, row=True,
-    )  # fmt: skip
+    derivative_bound: np.ndarray = error_of(
+        derivative, "bound of the error of the derivative; NaN: none is known"
+    )
     delay: np.ndarray = array(
         "group delay, minus the derivative of the phase along omega; NaN: the amplitude may vanish",
         "sqrt(m/k)", "omega", "detector_number", since=3,
     )  # fmt: skip
-    delay_bound: np.ndarray = array(
-        "bound of the error of the delay", "sqrt(m/k)", "omega", "detector_number", since=3
-    )
+    delay_bound: np.ndarray = error_of(delay, "bound of the error of the delay")
     line_error: np.ndarray = array(
         "how far the curve may leave the straight line from the frequency before, relative to the "
         "amplitude, by the derivatives at both; infinite: unknown",
@@ -170,9 +164,7 @@ class Response(Frequencies):
         "under a push on average; NaN: no solution",
         "k", "omega", dtype=complex, since=4,
     )  # fmt: skip
-    force_bound: np.ndarray = array(
-        "bound of the error of the force; NaN: none is known", "k", "omega", since=4
-    )
+    force_bound: np.ndarray = error_of(force, "bound of the error of the force; NaN: none is known")
     power: np.ndarray = array(
         "mean power that the drive of amplitude 1 puts in, and dashpots dissipate: of a wall omega "
         "/ 2 times the imaginary part of the force, its error that part of the bound",

@@ -2,16 +2,15 @@
 
 import time
 from dataclasses import astuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgran.driven import amplitudes as phases
-from pgran.driven import drive as driven
-from pgran.driven.amplitudes import and_more, below_relative_accuracy, is_accurate
-from pgran.driven.drive import FrequencySweep
+from pgran.driven import amplitudes, drive
+from pgran.driven.amplitudes import PhaseLine, and_more, is_accurate
 from pgran.experiments.response.curve import choose_method, line_errors, solve_curve
 from pgran.experiments.response.record import LINES, Response
-from pgran.medium.base import EPSILON, medium
+from pgran.medium.base import EPSILON, Medium, medium
 from pgran.run.agreement import agreeing, on_root
 from pgran.run.experiment import (
     PROGRESS,
@@ -30,10 +29,84 @@ from pgran.store.estimate import counted, with_error
 from pgran.store.record import ball_names, columns_of, row_of
 from pgran.store.si import SI
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pgran.run.crew import Crew
+
 MODELLED = 2  # the reason of a frequency that a model gives
 
 
-class ResponseSweep(FrequencySweep):
+@in_parallel("sweep", shares_lattice=True, lattice=medium, detectors=drive.DETECTORS, omegas=SWEEP)
+def sweep(
+    lattice: Medium,
+    omegas: "ArrayLike",
+    detectors: "ArrayLike",
+    crew: "Crew | None" = None,
+    *,
+    method: str = option(
+        "auto",
+        "points, each frequency solved for; curve, models of intervals, proven between frequencies "
+        "too; auto, what is cheaper for the frequencies asked for",
+        choices=("points", "curve", "auto"),
+    ),
+    resolve: float | None = option(
+        None,
+        "with models, frequencies are added until straight lines between them are right to this "
+        f"part of the amplitude; by default {LINES:g}; 0: only those asked for",
+        kind=REAL, low=0, high=0.5,
+    ),
+    error_tolerance: float = drive.STEADY["error_tolerance"],
+    error_floor: float = drive.STEADY["error_floor"],
+    refresh_iterations: int = drive.STEADY["refresh_iterations"],
+    phase_window: "ArrayLike" = window(
+        option(0.3, "window of the phase fit", "omega_mx", key="phase_fit_min", low=0),
+        option(1.0, "window of the phase fit", "omega_mx", key="phase_fit_max", above=0),
+    ),
+    fields: bool = option(False, "store the whole field at every frequency", key="output_fields"),
+    keep_models: bool | None = option(
+        None,
+        "keep the models, so that response.at(omega) works later; by default where they are few",
+        key="output_models", kind=FLAG,
+    ),
+    progress: str = PROGRESS,
+) -> Response:  # fmt: skip
+    """Solve the driven steady state over a sweep of frequencies (paper: ampeq, freqres).
+
+    (K + i omega C - omega^2 M) A = f, with all damping in C, gives the amplitudes A of all balls
+    while the wall moves like exp(i omega t): see `pgran manual accuracy` for their bounds.
+
+    Examples
+    --------
+    >>> import pgran
+    >>> lattice = pgran.Lattice.random((6, 5), seed=1)
+    >>> response = pgran.sweep(lattice, [0.2, 0.4, 0.6], [(2, 3)], method="points")
+    >>> response.amplitude.shape
+    (3, 1)
+    >>> bool((response.error_bound <= 1e-4 * response.amplitude).all())
+    True
+    """
+    started = time.perf_counter()
+    steady = drive.steady(error_tolerance, error_floor, refresh_iterations)
+    with agreeing(crew.world):
+        task = ResponseSweep(lattice, omegas, detectors, fields, steady)
+        method = choose_method(method, task.scaled, task.omegas, resolve, fields)
+    drive.check_driven(lattice, crew.world, omegas[0])
+    models = None
+    if method == "points":
+        resolve, points = 0.0, carry_out(task, crew, progress)
+    else:
+        resolve = LINES if resolve is None else resolve
+        points, models = solve_curve(task, crew, resolve, keep_models, progress)
+
+    def respond():
+        seconds = time.perf_counter() - started
+        return task.response(points, models, method, resolve, phase_window, seconds)
+
+    return on_root(crew.world, respond, keep=True)
+
+
+class ResponseSweep(drive.FrequencySweep):
     """The amplitudes at the detectors, with their bounds, and the whole field if it is wanted."""
 
     def __init__(self, lattice, omegas, detectors, fields, steady):
@@ -75,14 +148,18 @@ class ResponseSweep(FrequencySweep):
         columns = columns_of(Response, rows)
         omega, displacement, bound = (columns[n] for n in ("omega", "displacement", "error_bound"))
         failed = columns["converged_reason"] <= 0
-        at_floor = below_relative_accuracy(bound, displacement, self.choices["error_tolerance"])
+        at_floor = amplitudes.below_relative_accuracy(
+            bound, displacement, self.choices["error_tolerance"]
+        )
         at_floor[failed] = 0
         # only what is accurate relative to itself has a phase
         accurate = np.where(failed[:, None] | (at_floor > 0), np.nan, displacement)
-        unwrapped = phases.unwrap if self.lattice.dissipates else phases.phase_of_sign
+        unwrapped = amplitudes.unwrap if self.lattice.dissipates else amplitudes.phase_of_sign
         phase = unwrapped(accurate)
         slope = columns["derivative"]
-        delay, delay_bound = phases.group_delay(accurate, slope, bound, columns["derivative_bound"])
+        delay, delay_bound = amplitudes.group_delay(
+            accurate, slope, bound, columns["derivative_bound"]
+        )
         compared = (columns["modelled"][1:] > 0) & (resolve > 0)
         curve = omega, accurate, slope
         line_error = line_errors(self.scaled, *curve, compared, resolve or LINES)
@@ -156,9 +233,9 @@ def phase_lines(lattice, omega, phase, line_error, window):
     """Return the PhaseLine of each detector, within a window in units of omega_mx."""
     if not lattice.built.dissipates:
         why = "without damping amplitudes are real, and their phase is 0 or pi"
-        return [phases.PhaseLine(why_not=why) for _ in phase.T]
+        return [PhaseLine(why_not=why) for _ in phase.T]
     columns = zip(phase.T, line_error.T, strict=True)
-    return [phases.fit_phase(omega / lattice.omega_mx, *column, *window) for column in columns]
+    return [amplitudes.fit_phase(omega / lattice.omega_mx, *column, *window) for column in columns]
 
 
 def check(values, given):
@@ -182,7 +259,7 @@ def summary(result):
         f"{counted(nw, 'frequency')}{added} with "
         f"{counted(response.factorizations, 'factorization')} in {response.solve_seconds:.2f} s"
     )
-    yield from driven.reached_accuracy(response, response.converged_reason > 0)
+    yield from drive.reached_accuracy(response, response.converged_reason > 0)
     yield from unresolved(response, lattice.built.dissipates)
     window = response.phase_fit_min, response.phase_fit_max
     lines = phase_lines(lattice, response.omega, response.phase, response.line_error, window)
@@ -215,61 +292,6 @@ def unresolved(response, damped):
             f"the curve is not resolved between {omega[first]:.6g} and {omega[first + 1]:.6g}"
             f"{and_more(places.size - 1)}{hint}"
         )
-
-
-@in_parallel("sweep", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, omegas=SWEEP)
-def sweep(
-    lattice,
-    omegas,
-    detectors,
-    crew=None,
-    *,
-    method=option(
-        "auto",
-        "points, each frequency solved for; curve, models of intervals, proven between frequencies "
-        "too; auto, what is cheaper for the frequencies asked for",
-        choices=("points", "curve", "auto"),
-    ),
-    resolve=option(
-        None,
-        "with models, frequencies are added until straight lines between them are right to this "
-        f"part of the amplitude; by default {LINES:g}; 0: only those asked for",
-        kind=REAL, low=0, high=0.5,
-    ),
-    error_tolerance=driven.STEADY["error_tolerance"],
-    error_floor=driven.STEADY["error_floor"],
-    refresh_iterations=driven.STEADY["refresh_iterations"],
-    phase_window=window(
-        option(0.3, "window of the phase fit", "omega_mx", key="phase_fit_min", low=0),
-        option(1.0, "window of the phase fit", "omega_mx", key="phase_fit_max", above=0),
-    ),
-    fields=option(False, "store the whole field at every frequency", key="output_fields"),
-    keep_models=option(
-        None,
-        "keep the models, so that response.at(omega) works later; by default where they are few",
-        key="output_models", kind=FLAG,
-    ),
-    progress=PROGRESS,
-) -> Response:  # fmt: skip
-    """Solve the driven steady state over a sweep of frequencies (paper: ampeq, freqres)."""
-    started = time.perf_counter()
-    steady = driven.steady(error_tolerance, error_floor, refresh_iterations)
-    with agreeing(crew.world):
-        task = ResponseSweep(lattice, omegas, detectors, fields, steady)
-        method = choose_method(method, task.scaled, task.omegas, resolve, fields)
-    driven.check_driven(lattice, crew.world, omegas[0])
-    models = None
-    if method == "points":
-        resolve, points = 0.0, carry_out(task, crew, progress)
-    else:
-        resolve = LINES if resolve is None else resolve
-        points, models = solve_curve(task, crew, resolve, keep_models, progress)
-
-    def respond():
-        seconds = time.perf_counter() - started
-        return task.response(points, models, method, resolve, phase_window, seconds)
-
-    return on_root(crew.world, respond, keep=True)
 
 
 SCENE = Scene(options_of(sweep), run_of(sweep), summary, check, shares_lattice=True, function=sweep)
