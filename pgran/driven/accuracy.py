@@ -33,7 +33,13 @@ import numpy as np
 from mpi4py import MPI
 
 from pgran.driven.amplitudes import is_accurate
-from pgran.driven.counting import smallest_damping, smallest_loss, smallest_stiffness
+from pgran.driven.counting import (
+    ModeCounter,
+    complex_matrix,
+    smallest_damping,
+    smallest_loss,
+    smallest_stiffness,
+)
 from pgran.driven.linear import FACTORIZATIONS, LEAST_NORM
 from pgran.driven.operators import Owner
 from pgran.medium.base import EPSILON, SMALLEST_NORMAL
@@ -99,8 +105,6 @@ class Accuracy(Owner):
     @cached_property
     def _counter(self):
         """What counts eigenvalues of K."""
-        from pgran.driven.counting import ModeCounter
-
         return ModeCounter(self.operators.K, self.operators.lattice)
 
     @cached_property
@@ -151,11 +155,9 @@ class Accuracy(Owner):
         return max(least, 0.0)
 
     def _distance(self, shift, spread):
-        """Return how far all eigenvalues of K are from a shift, at least; 0 if it is no use.
-
-        The first guess is a tenth of their mean distance. It is no use where damping spreads
-        eigenvalues as far, or rounding S moves amplitudes by more than the tolerance.
-        """
+        """Return how far all eigenvalues of K are from a shift, at least; 0 if it is no use."""
+        # It is none where damping spreads eigenvalues as far, or rounding S moves amplitudes by
+        # more than the tolerance. The first guess is a tenth of the eigenvalues' mean distance.
         least = max(EPSILON / self.tolerance, 10 * self.unit) * self.scale + 10 * spread
         delta = 0.1 * self.scale / self.operators.size
         while 0 < least <= delta < math.inf:  # S may be zero
@@ -173,7 +175,6 @@ class Accuracy(Owner):
         """
         if not self._alone or krylov.pc.getType() not in FACTORIZATIONS:
             return False
-        from pgran.driven.counting import complex_matrix
         from pgran.driven.factors import least_estimate, proven_least
 
         x, y = self._work, self._product
@@ -301,8 +302,7 @@ class Accuracy(Owner):
     def evaluation(self, residual, terms, adjoint, value):
         """Return a bound of what rounding does to A~_d + z~^T r, the `value`, in evaluating it.
 
-        Collective. `residual` and `terms` are the `primal_residual` and the `rounding` of A~;
-        `adjoint` is the system of z~.
+        Collective. `residual` and `terms` are the `primal_residual` and the `rounding` of A~.
         """
         z = np.abs(adjoint.solution.getArray(readonly=True))
         sums = self.unit * self._total(z @ terms)
@@ -363,15 +363,13 @@ class Accuracy(Owner):
         return state._replace(derivative=derivative, derivative_bound=bound, **reaction)
 
     def _reaction(self, state, primal):
-        """Return f^T A = A~^T (f + r) + r^T S^-1 r and its bound, by name: A is its own adjoint.
-
-        What rounding does to r and f, ball by ball, `_residual` holds as a norm.
-        """
+        """Return f^T A = A~^T (f + r) + r^T S^-1 r and its bound, by name: A is its own adjoint."""
         value, bound, r = math.nan, math.nan, primal.residual
         if math.isfinite(state.backward_error):
             A = primal.solution
             value = A.tDot(primal.rhs) + A.tDot(r)
             if self.proven:
+                # the residual's bound holds, as a norm, what rounding does to r and f, too
                 residual, force, size = self._residual, primal.rhs.norm(), self.operators.size
                 theory = residual * residual * self.inverse_norm
                 rounded = 2 * (residual - primal.norm) + (size + 8) * EPSILON * (force + residual)

@@ -48,20 +48,15 @@ def below_relative_accuracy(error_bound, amplitude, tolerance):
     return missed.astype(np.int8)
 
 
-def phase_of_sign(displacement):
-    """Return the phase of amplitudes that are real, as without damping: 0 or pi; NaN where unknown.
+def phase_of(displacement, damped):
+    """Return the phase of amplitudes over a sweep, shape (n, nd); NaN where these are unknown.
 
-    Its jumps are changes of sign, to be followed by no unwrapping.
+    It has no jumps, from the lowest frequency on. Amplitudes without damping are real: their phase
+    jumps between 0 and pi where their sign changes, which is to be followed by no unwrapping.
     """
-    sign = np.where(displacement.real < 0, np.pi, 0.0)
-    return np.where(np.isnan(displacement), np.nan, sign)
-
-
-def unwrap(displacement):
-    """Return the phase along the first axis without its jumps, from the lowest frequency on.
-
-    Frequencies that have no amplitude keep NaN and are passed over.
-    """
+    if not damped:
+        sign = np.where(displacement.real < 0, np.pi, 0.0)
+        return np.where(np.isnan(displacement), np.nan, sign)
     phase = np.angle(displacement)
     for column in phase.T:
         finite = np.isfinite(column)

@@ -32,7 +32,7 @@ class Solved(NamedTuple):
         return Solved(*(array[..., numbers] for array in self))
 
 
-class Columns(Owner):
+class BlockSolver(Owner):
     """Solves with the factorization of S, as it is, that a solver has; destroy with `destroy`.
 
     Collective. Without a factorization the solver's KSP solves, column by column.
@@ -48,9 +48,7 @@ class Columns(Owner):
         """Yield some items, this rank's rows of S^-1 b for each, and bounds of norms and residuals.
 
         Collective. `fill(items, array)` sets this rank's rows of the right-hand sides b, one for
-        each item, with |b|_2 <= size. The bounds, of |S^-1 b| as computed and of the residual, are
-        the same on every rank. A KSP may make up for an inexact factorization; here its residual
-        shows.
+        each item, with |b|_2 <= size. The bounds are of |S^-1 b| as computed and of the residual.
         """
         bounds = self.solver.bounds
         for some in self._blocks(items, fill):

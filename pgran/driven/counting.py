@@ -25,8 +25,7 @@ FLOORS = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1)  # of |K|: how far below zero its 
 def smallest_damping(lattice):
     """Return a number that no eigenvalue of C is below, drag included; 0 if none is certain.
 
-    The same on every rank. It is counted once where no closed form is known, on a copy of this
-    rank's own.
+    The same on every rank; counted once, on a copy of its own, where no closed form is known.
     """
     cache = vars(lattice)
     if "smallest_damping" not in cache:
@@ -40,9 +39,9 @@ def smallest_damping(lattice):
 
 
 def smallest_loss(lattice):
-    """Return a number that no eigenvalue of L is below, 0 if none above 0 is certain; counted once.
+    """Return a number that no eigenvalue of L = B^T diag(eta k) B is below; 0 if none is certain.
 
-    L = B^T diag(eta k) B of what springs lose by themselves, which negative eigenvalues would feed.
+    It is what springs lose by themselves, which negative eigenvalues would feed.
     """
     cache = vars(lattice)
     if lattice.losses is None:
@@ -59,10 +58,7 @@ def least_stiffness(network):
 
 
 def smallest_stiffness(operators):
-    """Return a number that no eigenvalue of K is below; 0 where no spring's constant is negative.
-
-    The same on every rank; computed once for the constants that operators have.
-    """
+    """Return a number that no eigenvalue of K is below; 0 where no constant is negative."""
     if operators.softest is None:
         constants, operators.softest = operators.constants.real, 0.0
         if constants.min(initial=0.0) < 0:
@@ -92,8 +88,8 @@ def _floor(network, constants):
 def _least(medium, constants, norm, diagonal=0.0):
     """Return what no eigenvalue of B^T diag(constants) B + diag(diagonal) is below; 0 if unknown.
 
-    Its magnitudes sum up to `norm`. Inverse iteration estimates the smallest eigenvalue from above;
-    that none is below a part of it, factors of the matrix less that part prove.
+    Inverse iteration estimates the smallest one from above; factors prove that none is below a part
+    of it. The matrix has a 2-norm of at most `norm`.
     """
     from scipy.sparse import csc_matrix
 

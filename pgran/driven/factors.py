@@ -33,18 +33,8 @@ SHARP = 0.05  # of a shift: how sharp the bound of the factors' error need be
 class RealFactors:
     """Factors of K - shift, K real and symmetric: `solve(b)`, and its negative pivots.
 
-    Of a complex symmetric K they are as good, but for these.
-
-    Parameters
-    ----------
-    K : scipy.sparse.csc_matrix, shape (n, n)
-        Its unknowns are numbered in the order of their elimination.
-    shift : float
-
-    Raises
-    ------
-    ZeroDivisionError
-        If a pivot is zero.
+    Of a complex symmetric K they are as good, but for these. K, sparse by columns, has its unknowns
+    in the order of their elimination. Raises ZeroDivisionError if a pivot is zero.
     """
 
     def __init__(self, K, shift):
@@ -130,8 +120,7 @@ def proven_gap(K, shift, count, rounding=0.0):
 def proven_least(S, c, rounding=0.0):
     """Return a number that no singular value of S is below, near c; 0 if that is not certain.
 
-    `S` is a scipy.sparse matrix, complex and symmetric, numbered in the order of elimination, and
-    known up to a matrix of the 2-norm `rounding`.
+    `S`, sparse, complex and symmetric, is known up to a matrix of the 2-norm `rounding`.
     """
     return proven_gap(doubled(S), c, S.shape[0], rounding)
 
@@ -150,8 +139,7 @@ def doubled(S):
 def least_estimate(solve, size, enough=0.0, steps=8):
     """Return an estimate of the smallest singular value of S from above; `solve` is by S.
 
-    Inverse iteration of S conj(S): y becomes S^-1 conj(S^-1 conj(y)). It ends where the value is
-    below what would be `enough`.
+    Inverse iteration of S conj(S): y becomes S^-1 conj(S^-1 conj(y)), until less than `enough`.
     """
     y = np.random.Generator(np.random.Philox(1)).standard_normal(size) + 0j
     y /= np.linalg.norm(y)

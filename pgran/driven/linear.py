@@ -4,7 +4,6 @@ Whether a fresh factorization pays is decided by iteration counts and prices, ne
 that a run repeats exactly.
 """
 
-import contextlib
 import math
 
 from mpi4py import MPI
@@ -26,7 +25,7 @@ BY_DIAGONAL, AMF = 1, 2
 
 
 class System(Owner):
-    """One right-hand side of S, with its solution, true residual, and the two solutions before."""
+    """A right-hand side of S, with its solution, true residual, and the two solutions before."""
 
     owns = ("solution", "residual", "last", "before_last")
 
@@ -68,10 +67,9 @@ class System(Owner):
 
 
 class Krylov(Owner):
-    """The KSP of S. Collective.
+    """The KSP of S, its `iterations` since the last `begin`, and its last `reason`, or 0.
 
-    Since the last `begin` it has taken so many `iterations`; `reason` is PETSc's of the last solve
-    since then, 0 if there was none.
+    Collective.
     """
 
     owns = ("ksp", "_block", "_image")
@@ -127,7 +125,7 @@ class Krylov(Owner):
         for column, system in zip(self._block.getDenseArray().T, systems, strict=True):
             column[:] = system.rhs.getArray(readonly=True)
         self._block.assemble()
-        self.pc.getFactorMatrix().matSolve(self._block, self._image)
+        self.invert(self._block, self._image)
         for column, system in zip(self._image.getDenseArray().T, systems, strict=True):
             system.solution.setArray(column)
 
@@ -209,7 +207,17 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
         pc.setFactorOrdering("rcm")
         pc.setFromOptions()
     accept_small_pivots(pc)
-    choose_for_mumps(pc)
+    if pc.getType() in FACTORIZATIONS and pc.getFactorSolverType() == "mumps":
+        # Let MUMPS analyse the pattern alone; options win. Else it permutes by the values of the
+        # first matrix, and the last digits of all later solutions depend on which frequency a rank
+        # happened to factor first. On one rank it scales by the diagonal: its usual scaling, the
+        # only one of matrices that ranks share, takes up to a tenth of a factorization, but
+        # exchanges no fewer pivots.
+        pc.setFactorSetUpSolverType()
+        factor = pc.getFactorMatrix()
+        factor.setMumpsIcntl(ANALYSIS_BY_VALUES, 0)
+        if pc.comm.size == 1:
+            factor.setMumpsIcntl(SCALING, BY_DIAGONAL)
     if ksp.getType() != "preonly":
         # The preconditioner applied once is the solution already if it is a fresh factorization.
         ksp.setInitialGuessKnoll(True)
@@ -221,47 +229,20 @@ def set_up(ksp, matrix, operators):
 
     Collective. A KSP that failed is of no more use: PETSc keeps some failures for all later values.
     """
-    comm = operators.comm
+    comm, options = operators.comm, PETSc.Options(ksp.getOptionsPrefix())
     ksp.setOperators(matrix)  # without it a KSP overlooks new values
-    with quick_ordering(ksp, operators.lattice):
+    # Let MUMPS look for an order no longer than that saves; options win. On one rank PETSc 3.18
+    # overwrites what `setMumpsIcntl` says of it, so that MUMPS takes PORD; an option arrives.
+    quick = operators.lattice.elimination.quick and not options.hasName(ORDERING)
+    if quick:
+        options[ORDERING] = AMF
+    try:
         ksp.setUp()
+    finally:
+        if quick:
+            options.delValue(ORDERING)
     works = ksp.getConvergedReason() >= 0  # says it of this rank alone
     return works if comm.size == 1 else comm.allreduce(works, MPI.LAND)
-
-
-def choose_for_mumps(pc):
-    """Let MUMPS analyse the pattern alone, and on one rank scale by the diagonal; options win.
-
-    Else MUMPS permutes by the values of the first matrix, and the last digits of all later
-    solutions depend on which frequency a rank happened to factor first. And its usual scaling, the
-    only one of matrices that ranks share, takes up to a tenth of a factorization, but exchanges no
-    fewer pivots.
-    """
-    if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
-        pc.setFactorSetUpSolverType()
-        factor = pc.getFactorMatrix()
-        factor.setMumpsIcntl(ANALYSIS_BY_VALUES, 0)
-        if pc.comm.size == 1:
-            factor.setMumpsIcntl(SCALING, BY_DIAGONAL)
-
-
-@contextlib.contextmanager
-def quick_ordering(ksp, lattice):
-    """Let MUMPS look for an order, within a `with`, no longer than that saves; options win.
-
-    On one rank PETSc 3.18 overwrites what `setMumpsIcntl` says of it, so that MUMPS takes PORD; a
-    default of PETSc's options arrives.
-    """
-    quick = lattice.elimination.quick
-    options = PETSc.Options(ksp.getOptionsPrefix()) if quick else None
-    if not quick or options.hasName(ORDERING):
-        yield
-        return
-    options[ORDERING] = AMF
-    try:
-        yield
-    finally:
-        options.delValue(ORDERING)
 
 
 def accept_small_pivots(pc):
@@ -279,10 +260,9 @@ def accept_small_pivots(pc):
 
 
 def ends_run(error, works, comm):
-    """Return whether an error of PETSc ends the run instead of being marked. Collective.
+    """Return whether an error of PETSc ends the run, instead of being marked. Collective.
 
-    That is the fault of a callback, of an option if no factorization `works`, or one that not all
-    ranks of the lattice met.
+    So does one of a callback, of an option if no factorization `works`, or not met by all ranks.
     """
     of_option = is_bad_input(error) and not works
     return bool(error.__cause__ or of_option) or not met_by_all(comm)

@@ -12,13 +12,13 @@ fall by many orders across a medium; so is |q|^T |S^-1 r| where norms say too li
 A pattern is its own adjoint: f^T S^-1 f takes one solution.
 """
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from mpi4py import MPI
 
 from pgran.driven.amplitudes import is_accurate
-from pgran.driven.columns import Columns, Solved
+from pgran.driven.columns import BlockSolver, Solved
 from pgran.driven.steady import SteadySolver
 from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 from pgran.run.petsc import PETSc
@@ -34,7 +34,7 @@ class PatternSolver(SteadySolver):
     keywords of `SteadySolver`.
     """
 
-    owns = (*SteadySolver.owns, "_columns")
+    owns = (*SteadySolver.owns, "_blocks")
 
     def __init__(self, operators, **choices):
         super().__init__(operators, np.empty((0, len(operators.shape)), dtype=int), **choices)
@@ -54,34 +54,27 @@ class PatternSolver(SteadySolver):
 
         Collective. After a failure values are NaN, and bounds infinite.
         """
-        with np.errstate(all="ignore"):  # what is not finite has no bound
-            return self._carried_out(self._diagonal, (len(patterns),), patterns)
+        return self._carried_out(self._diagonal, (len(patterns),), patterns)
 
     def products(self, receivers, sources):
         """Return e^T S^-1 f of all receivers e and sources f, shape (ne, nf), and bounds.
 
         Collective. Patterns that occur several times are solved for once. See `diagonal`.
         """
-        with np.errstate(all="ignore"):
-            shape = len(receivers), len(sources)
-            return self._carried_out(self._products, shape, receivers, sources)
+        shape = len(receivers), len(sources)
+        return self._carried_out(self._products, shape, receivers, sources)
 
     @cached_property
-    def _columns(self):
-        """Blocks of right-hand sides."""
-        return Columns(self)
-
-    @cached_property
-    def _places(self):
-        """Which of the medium's unknowns this rank's rows are."""
-        unknowns = np.arange(self.operators.size).reshape(self.operators.shape)
-        return self.operators.layout.free_values(unknowns)
+    def _blocks(self):
+        """What solves for blocks of right-hand sides."""
+        return BlockSolver(self)
 
     def _carried_out(self, compute, shape, *patterns):
         """Return what is computed of patterns, or nothing known if this s, or PETSc, has failed."""
         if not self._spoilt:
             try:
-                return compute(*(np.asarray(some, dtype=float) for some in patterns))
+                with np.errstate(all="ignore"):  # what is not finite has no bound
+                    return compute(*(np.asarray(some, dtype=float) for some in patterns))
             except PETSc.Error as error:
                 self._tell(self.operators.s, error)
             self._renew()
@@ -91,13 +84,9 @@ class PatternSolver(SteadySolver):
 
     def _diagonal(self, patterns):
         """See `diagonal`."""
-
-        def by_column(a, b):
-            return np.einsum("ij,ij->j", a, b)
-
+        by_column = partial(np.einsum, "ij,ij->j")
         found = [self._paired(fields, fields, by_column) for fields in self._fields(patterns)]
-        values, bounds = map(np.concatenate, zip(*found, strict=True))
-        return values, bounds
+        return tuple(map(np.concatenate, zip(*found, strict=True)))
 
     def _products(self, receivers, sources):
         """See `products`."""
@@ -110,12 +99,14 @@ class PatternSolver(SteadySolver):
 
     def _fields(self, patterns):
         """Yield the fields of some patterns after the other."""
-        rows, self.backward_error = patterns[:, self._places], 0.0
+        operators, self.backward_error = self.operators, 0.0
+        unknowns = np.arange(operators.size).reshape(operators.shape)
+        rows = patterns[:, operators.layout.free_values(unknowns)]
 
         def fill(some, columns):
             columns[:, : len(some)] = rows[some].T
 
-        for fields in self._columns.refined(range(len(rows)), fill):
+        for fields in self._blocks.refined(range(len(rows)), fill):
             # of which a NaN stays
             self.backward_error = np.maximum(self.backward_error, fields.backward_error.max())
             yield fields
@@ -146,7 +137,7 @@ class PatternSolver(SteadySolver):
 
     def _missed(self, fields):
         """Return bounds of |f - S x| at each of this rank's unknowns, shape (rows, n)."""
-        return np.abs(fields.residual) + self.bounds.unit * fields.terms + 64 * SMALLEST_NORMAL
+        return self.bounds.at_each_ball(np.abs(fields.residual), fields.terms)
 
     def _errors(self, fields):
         """Return bounds of the fields' errors, unknown by unknown, or None: see `comparison`."""

@@ -35,7 +35,7 @@ import contextlib
 import numpy as np
 
 from pgran.driven.amplitudes import is_accurate
-from pgran.driven.columns import Columns
+from pgran.driven.columns import BlockSolver
 from pgran.driven.deformation import Deformation, amplitudes, march
 from pgran.driven.operators import Owner
 from pgran.errors import InputError
@@ -140,7 +140,7 @@ class Windows(Owner):
                 "-relax_method window: needs a factorization (-steady_pc_type lu); krylov not"
             )
         self.exchange, self.solver, self.s = exchange, solver, s
-        self._columns, self._rows = Columns(solver), self.operators.lattice.row_norms
+        self._columns, self._rows = BlockSolver(solver), self.operators.lattice.row_norms
 
     def follow(self, state, changes):
         """Return the amplitudes after each change, shape (n, nd), and their bounds. Collective.

@@ -154,8 +154,7 @@ class ResponseSweep(drive.FrequencySweep):
         at_floor[failed] = 0
         # only what is accurate relative to itself has a phase
         accurate = np.where(failed[:, None] | (at_floor > 0), np.nan, displacement)
-        unwrapped = amplitudes.unwrap if self.lattice.dissipates else amplitudes.phase_of_sign
-        phase = unwrapped(accurate)
+        phase = amplitudes.phase_of(accurate, self.lattice.dissipates)
         slope = columns["derivative"]
         delay, delay_bound = amplitudes.group_delay(
             accurate, slope, bound, columns["derivative_bound"]

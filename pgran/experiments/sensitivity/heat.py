@@ -152,7 +152,7 @@ class HeatSweep(AdjointSweep):
 
     def keep(self, point, solver):
         """See `FrequencySweep`. Collective over a group."""
-        from pgran.driven.columns import Columns
+        from pgran.driven.columns import BlockSolver
 
         super().keep(point, solver)
         for name in self.computed:
@@ -174,7 +174,10 @@ class HeatSweep(AdjointSweep):
         fields = np.stack([x.solution.getArray(readonly=True) for x in systems], axis=1)
         norms = np.array([x.solution.norm() for x in systems])
         errors = errors + (self.scaled.springs.columns.shape[1] + 2) * EPSILON * norms
-        with Columns(solver) as columns, np.errstate(all="ignore"):  # not finite: without a bound
+        with (
+            BlockSolver(solver) as columns,
+            np.errstate(all="ignore"),
+        ):  # not finite: without a bound
             for name, flexibility in self.flexibilities.items():
                 stretched = flexibility.stretched(fields, errors)
                 matrices = flexibility.matrices(columns)
