@@ -187,7 +187,8 @@ class Flexibility:
         """Return G for each group, and a bound of its error in Frobenius' norm.
 
         Collective. `columns`, a `BlockSolver`, are of a solver with these operators, for whose S
-        the bounds are prepared. G, shape (count, r, r), is zero in rows and columns that only fill up.
+        the bounds are prepared. G, shape (count, r, r), is zero in rows and columns that only fill
+        up.
         """
         bounds, (count, r, width) = columns.solver.bounds, self._number.shape
         stretches = np.zeros((count, r, r, width), dtype=complex)  # L(i, u) of each i, j, u
