@@ -170,8 +170,8 @@ class Accuracy(Owner):
     def sharpen(self, krylov, needed):
         """Bound |S^-1| by a count of S itself, where no rank shares it; say if that helps.
 
-        `krylov` has factored S. The bound is about 1.2 times |S^-1|; what cannot become `needed`
-        times as sharp by it is left as it is.
+        Only where it may become `needed` times as sharp, about 1.2 times |S^-1|; `krylov` has
+        factored S.
         """
         if not self._alone or krylov.pc.getType() not in FACTORIZATIONS:
             return False
@@ -250,10 +250,10 @@ class Accuracy(Owner):
     # What residuals tell.
 
     def assess(self, s, systems, krylov):
-        """Return the state reached, its bounds, and whether they meet the tolerance.
+        """Return the state reached, its bounds, and whether they meet the tolerance. Collective.
 
-        Collective. `systems` are that of the amplitudes, then each detector's adjoint, none where
-        no bound is known; `krylov` has solved them, and the bounds are prepared for s.
+        `krylov` has solved the `systems`: that of the amplitudes, then each detector's adjoint,
+        none where no bound is known.
         """
         primal, *adjoints = systems
         displacement, size = self.detectors.read(primal.solution), primal.solution.norm()
@@ -300,10 +300,7 @@ class Accuracy(Owner):
         return adjoint.norm + self.unit * (adjoint.rhs.norm() + self.scale * size) + self.lost
 
     def evaluation(self, residual, terms, adjoint, value):
-        """Return a bound of what rounding does to A~_d + z~^T r, the `value`, in evaluating it.
-
-        Collective. `residual` and `terms` are the `primal_residual` and the `rounding` of A~.
-        """
+        """Return a bound of what rounding does to A~_d + z~^T r, the `value`. Collective."""
         z = np.abs(adjoint.solution.getArray(readonly=True))
         sums = self.unit * self._total(z @ terms)
         product = (self.operators.size + 2) * EPSILON * residual * adjoint.solution.norm()
@@ -329,8 +326,7 @@ class Accuracy(Owner):
     def with_derivatives(self, state, systems):
         """Return a state with the derivatives dA_d/domega, the reaction f^T A, and their bounds.
 
-        Collective; `assess` has looked at these systems last. With S' = C + 2 s M, all damping in
-        C, and g = f' - S' A~ (derivatives along s),
+        After `assess`. Collective. With S' = C + 2 s M, all damping in C, and g = f' - S' A~,
 
             dA_d/ds - z~^T g = q^T S^-1 g - z~^T S' S^-1 r - q^T S^-1 S' S^-1 r.
         """
@@ -384,10 +380,7 @@ class Accuracy(Owner):
     # Ball by ball.
 
     def compared(self, state, primal, krylov):
-        """Return a state that misses its accuracy with bounds ball by ball; judge by the floor.
-
-        Collective. `primal` is the system of the amplitudes.
-        """
+        """Return a state with bounds ball by ball, judged by the floor, too. Collective."""
         if not math.isfinite(state.backward_error) or not np.all(np.isfinite(state.displacement)):
             return state
         errors = None
@@ -433,10 +426,8 @@ class Detectors:
         return self._sums(self._entries(x))
 
     def read_errors(self, v):
-        """Return bounds of what is read of errors no larger, entry by entry, than v. Collective.
-
-        Signs that cancel in the reading of v need not cancel in the errors: magnitudes add up.
-        """
+        """Return bounds of what is read of errors no larger, entry by entry, than v. Collective."""
+        # signs that cancel in a reading of v need not cancel in the errors: magnitudes add up
         return self._sums(np.abs(self._entries(v)))
 
     def unit_vectors(self):

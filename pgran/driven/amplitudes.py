@@ -67,8 +67,7 @@ def phase_of(displacement, damped):
 def fit_line(x, y):
     """Return slope and intercept of the straight line through some points; y may hold NaN.
 
-    NaN where less than three points are known, or where these are too close together, by 1e-10, to
-    tell a slope from rounding.
+    NaN where less than three points are known, or where rounding hides a slope.
     """
     finite = np.isfinite(y)
     x, y = x[finite], y[finite]

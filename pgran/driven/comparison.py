@@ -28,10 +28,7 @@ LEAST_PROVEN = 1e-290  # what is proven of no amplitude is less
 
 
 class Comparison(Owner):
-    """Finds and verifies v for one s after the other; destroy with `destroy` or `with`.
-
-    Collective. Its factorization has the option prefix `steady_comparison_`.
-    """
+    """Finds and verifies v for one s after the other, by a KSP `steady_comparison_`. Collective."""
 
     owns = ("v", "_target", "_product", "_ksp", "_matrix")
 
@@ -63,11 +60,10 @@ class Comparison(Owner):
         return works
 
     def verified(self, residual, bounds):
-        """Return a vector that no error of an amplitude exceeds, or None where there is none.
+        """Return a vector that no error of an amplitude exceeds, or None. Collective.
 
-        Collective, after `prepare`; the next call overwrites it. `residual` is positive and no less
-        than |f - S A~|, rounding included, at each of this rank's balls; `bounds` are prepared for
-        this s.
+        After `prepare`; the next call overwrites it. `residual` is positive and no less than
+        |f - S A~|, rounding included, ball by ball; `bounds`, an `Accuracy`, is prepared for s.
         """
         # Room for the rounding of the product below; and no v so small that it vanishes.
         self._target.setArray(4 * residual + LEAST_PROVEN * bounds.scale)

@@ -39,10 +39,7 @@ def smallest_damping(lattice):
 
 
 def smallest_loss(lattice):
-    """Return a number that no eigenvalue of L = B^T diag(eta k) B is below; 0 if none is certain.
-
-    It is what springs lose by themselves, which negative eigenvalues would feed.
-    """
+    """Return a number that no eigenvalue of L = B^T diag(eta k) B is below; 0 if unknown."""
     cache = vars(lattice)
     if lattice.losses is None:
         return 0.0
@@ -86,11 +83,7 @@ def _floor(network, constants):
 
 
 def _least(medium, constants, norm, diagonal=0.0):
-    """Return what no eigenvalue of B^T diag(constants) B + diag(diagonal) is below; 0 if unknown.
-
-    Inverse iteration estimates the smallest one from above; factors prove that none is below a part
-    of it. The matrix has a 2-norm of at most `norm`.
-    """
+    """Return what no eigenvalue of B^T diag(constants) B + diagonal is below; 0 if unknown."""
     from scipy.sparse import csc_matrix
 
     from pgran.driven.factors import RealFactors, proven_gap
@@ -102,6 +95,7 @@ def _least(medium, constants, norm, diagonal=0.0):
         values[rows == columns] += np.broadcast_to(diagonal, medium.size)[medium.order]
     matrix = csc_matrix((values.real.copy(), columns, pointer))  # symmetric: rows are columns
     rounding = medium.rounding * norm  # of the sums that its entries are
+    # Inverse iteration estimates the smallest eigenvalue from above; factors prove a part of it.
     try:
         # Were it singular, pivots that rounding leaves would exchange rows and fill the factors.
         estimate = _estimate(matrix, RealFactors(matrix, -8 * rounding))
@@ -128,9 +122,9 @@ class ModeCounter(Owner):
     """Counts the eigenvalues below a shift of K, or C, of a lattice or network.
 
     Each rank counts on a copy of its own, because PETSc's own factorization, the only one that
-    gives the inertia of complex matrices everywhere, is serial. Where it would take long (`SLOW`;
-    `costly` beside a search for some modes) SciPy's SuperLU does it unless options choose. No
-    eigenvalue exceeds `norm`, |K|_inf, 1 if K is zero; there are `order` of them.
+    gives the inertia of complex matrices everywhere, is serial. Where it would take long (`SLOW`)
+    SciPy's SuperLU does it unless options choose. No eigenvalue exceeds `norm`, |K|_inf, 1 if K is
+    zero; there are `order` of them.
     """
 
     owns = ("_pc", "_shifted", "_x", "_rhs", "_residual")
@@ -158,20 +152,17 @@ class ModeCounter(Owner):
         accept_small_pivots(self._pc)
 
     def below(self, shift, clearance):
-        """Return how many eigenvalues lie below a shift, or None where that is uncertain.
+        """Return how many eigenvalues lie below a shift; None unless none lies within `clearance`.
 
-        It is certain if none lies within `clearance`: the counts on both sides agree, and each is
-        of a matrix much closer to K - shift than that.
+        Then the counts on both sides agree, each of a matrix much closer to K - shift than that.
         """
         counts = {self._inertia(shift + side * clearance, 0.1 * clearance) for side in (-1, 1)}
         return counts.pop() if len(counts) == 1 else None
 
     def _inertia(self, shift, allowed):
-        """Count the negative pivots of K - shift; None if the factors miss it by more than allowed.
-
-        Without pivoting, a tiny pivot spoils the factors. E = K - shift - L D L^T is estimated by
-        |E x| / |x| of one solution x, L D L^T x = b, of a random b: E x = (K - shift) x - b.
-        """
+        """Count the negative pivots of K - shift; None if factors miss it by more than allowed."""
+        # Without pivoting, a tiny pivot spoils the factors. E = K - shift - L D L^T is estimated by
+        # |E x| / |x| of a solution x of L D L^T x = b, b random: E x = (K - shift) x - b.
         self.K.copy(self._shifted, structure=SAME)
         self._shifted.shift(-shift)
         with contextlib.suppress(PETSc.Error):

@@ -68,10 +68,7 @@ class Deformation:
         return changed + 2 * EPSILON * _column_sums(weights, self.coefficient_sizes)
 
     def residual(self, start, columns):
-        """Return bounds of |f - S x|_2, or of |e_d - S x|_2, after each step.
-
-        `start` bounds it before any change, `columns` the residuals of Y's columns.
-        """
+        """Return bounds of a residual after each step, from those at the start and of Y's columns."""
         rounding = self.missed_rounding(np.ones(self.missed.shape))
         missed = np.sum(self.missed_sizes, axis=0) + rounding
         return start + columns @ self.coefficient_sizes + self._bond * missed
@@ -80,7 +77,7 @@ class Deformation:
 def amplitudes(before, primal, adjoint):
     """Return A_d + q^T gamma - (q + G eta)^T h after each step, and bounds of its rounding.
 
-    `before` is A_d; the deformations are those of the amplitudes and of the detector's adjoint.
+    `before` is A_d; the deformations are those of the amplitudes and of the adjoint.
     """
     missed = np.sum(adjoint.stretch * primal.missed, axis=0)
     amplitude = before + adjoint.start @ primal.coefficients - missed

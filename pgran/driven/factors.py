@@ -118,10 +118,7 @@ def proven_gap(K, shift, count, rounding=0.0):
 
 
 def proven_least(S, c, rounding=0.0):
-    """Return a number that no singular value of S is below, near c; 0 if that is not certain.
-
-    `S`, sparse, complex and symmetric, is known up to a matrix of the 2-norm `rounding`.
-    """
+    """Return a number near c that no singular value of S is below; 0 if that is not certain."""
     return proven_gap(doubled(S), c, S.shape[0], rounding)
 
 

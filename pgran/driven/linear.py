@@ -67,10 +67,7 @@ class System(Owner):
 
 
 class Krylov(Owner):
-    """The KSP of S, its `iterations` since the last `begin`, and its last `reason`, or 0.
-
-    Collective.
-    """
+    """The KSP of S; its `iterations` since `begin`, its last `reason`, or 0. Collective."""
 
     owns = ("ksp", "_block", "_image")
 
@@ -152,10 +149,7 @@ class Krylov(Owner):
         return self._correction if self.ksp.getConvergedReason() > 0 else None
 
     def invert(self, block, image):
-        """Set the columns of a block to S^-1 of another's: by a factorization, else one by one.
-
-        Collective.
-        """
+        """Set a block's columns to S^-1 of another's: by factors, else one by one. Collective."""
         if self.pc.getType() in FACTORIZATIONS:
             self.pc.getFactorMatrix().matSolve(block, image)
             return
@@ -186,9 +180,9 @@ def factor_package(lattice, ranks):
 
 
 def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
-    """Return a KSP on an LDL^T factorization by default, then as the options of a prefix say.
+    """Return a KSP of a matrix like S: on an LDL^T factorization, or as the prefix's options say.
 
-    Collective. `matrix` is S, or another one of its pattern. The caller destroys the KSP.
+    Collective. The caller destroys it.
     """
     ksp = PETSc.KSP().create(operators.comm)
     solved.setdefault(prefix, kind == "preonly")
@@ -225,9 +219,9 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
 
 
 def set_up(ksp, matrix, operators):
-    """Set up a KSP's preconditioner for the values of a matrix; return whether that worked.
+    """Set up a KSP's preconditioner for a matrix; return whether that worked. Collective.
 
-    Collective. A KSP that failed is of no more use: PETSc keeps some failures for all later values.
+    One that failed is of no more use: PETSc keeps some failures for all later values.
     """
     comm, options = operators.comm, PETSc.Options(ksp.getOptionsPrefix())
     ksp.setOperators(matrix)  # without it a KSP overlooks new values
@@ -286,10 +280,7 @@ class ReusePolicy:
         self._served, self._spent, self._last, self._first = 0, 0, math.inf, None
 
     def due(self, guess=0.0):
-        """Return whether to factor before the next frequency.
-
-        `guess` is what to expect of a first reuse while there is no experience.
-        """
+        """Return whether to factor before the next frequency; `guess`: what a first reuse takes."""
         if self._served == 0:
             return True
         if self.limit:

@@ -163,10 +163,7 @@ class Operators(Owner):
 
     @cached_property
     def doubled_diagonals(self):
-        """Twice this rank's diagonals of K and of C, 0 where there is none.
-
-        Collective when first asked for.
-        """
+        """Twice this rank's diagonals of K and C, 0 for none. Collective when first asked for."""
         doubled = [0.0, 0.0]
         for number, matrix in enumerate((self.K, self.C)[: 1 + (self.C is not None)]):
             matrix.getDiagonal(self._diagonal)
@@ -193,8 +190,7 @@ class Operators(Owner):
     def stiffness_norm(self):
         """No less, but for rounding, than the 2-norm of |K|. Collective when first asked for.
 
-        It is the largest sum in a row. A Laplacian's |K| is 2 diag(K) less K, which has no negative
-        eigenvalues.
+        The largest sum in a row; a Laplacian's |K| is 2 diag(K) - K, and K is semidefinite.
         """
         if self.laplacian:
             sums = self.doubled_diagonals[0]
@@ -208,10 +204,7 @@ class Operators(Owner):
         return self.comm.allreduce(float(sums.max(initial=0.0)), MPI.MAX)
 
     def block(self, columns):
-        """Return a dense matrix of so many columns of unknowns, for the caller to destroy.
-
-        Collective.
-        """
+        """Return a dense matrix of so many columns, for the caller to destroy. Collective."""
         shape = self.f_stiffness.getSizes(), (None, columns)
         block = PETSc.Mat().createDense(shape, comm=self.comm)
         block.setUp()
@@ -231,10 +224,7 @@ class Operators(Owner):
         return stretches
 
     def spread(self, bonds, columns):
-        """Set columns to b = B^T e of some bonds, as far as it lies in this rank's rows.
-
-        Columns beyond those of the bonds become zero.
-        """
+        """Set columns to b = B^T e of some bonds in this rank's rows, others to zero."""
         columns[:] = 0.0
         for entries, rows, mine in self.layout.own_entries(bonds):
             columns[rows, mine] = entries
@@ -377,10 +367,7 @@ class LatticeLayout(Layout):
         return pointer.astype(PETSc.IntType), self._columns[self._exists], values
 
     def change(self, matrix, bonds, constants):
-        """Set in a matrix, to be assembled, the rows of all balls at some bonds.
-
-        They are summed up anew, so that what was before leaves no rounding behind.
-        """
+        """Set the rows of all balls at some bonds, summed up anew, in a matrix to be assembled."""
         balls = self.ends[bonds].ravel()
         balls = balls[(balls >= self.first) & (balls < self.last)]
         if len(balls):  # petsc4py divides by zero otherwise
@@ -464,8 +451,7 @@ class NetworkLayout(Layout):
 def partition(medium, parts):
     """Return which rank has each unknown: those of a ball together, neighbours mostly, as many.
 
-    By bisection along the longest extent of the positions; without positions along the order of
-    reverse Cuthill and McKee. The same on every rank.
+    By bisection along the longest extent of the positions, or along the order of Cuthill and McKee.
     """
     if medium.is_grid:
         where = np.indices(medium.shape).reshape(medium.axes, -1).T

@@ -43,17 +43,14 @@ class PatternSolver(SteadySolver):
     def solve(self, s):
         """Factor S(s) and bound the norm of its inverse; return whether that worked. Collective.
 
-        Each S has its own factorization, so that results do not depend on what was solved before.
+        Each S has its own factors: results do not depend on what was solved before.
         """
         self.restart()
         self.backward_error = np.nan
         return super().solve(s).converged_reason > 0
 
     def diagonal(self, patterns):
-        """Return f^T S^-1 f of each pattern f, shape (m,), and bounds of the errors.
-
-        Collective. After a failure values are NaN, and bounds infinite.
-        """
+        """Return f^T S^-1 f of each pattern f, (m,), and bounds; NaN if that fails. Collective."""
         return self._carried_out(self._diagonal, (len(patterns),), patterns)
 
     def products(self, receivers, sources):

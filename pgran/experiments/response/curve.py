@@ -39,10 +39,7 @@ LOOSEST = 0.5  # of the amplitude: lines further off than that are wrong for any
 
 
 def choose_method(method, lattice, omegas, tolerance, fields):
-    """Return `points` or `curve`: what is asked for, or what is predicted to be cheaper.
-
-    `tolerance` is what straight lines are asked to be right to, or None.
-    """
+    """Return `points` or `curve`: what is asked for, or predicted to be cheaper."""
     if method == "points":
         if tolerance:
             raise InputError("-sweep_resolve: needs models; -sweep_method curve makes them")
@@ -324,10 +321,7 @@ def hidden_part(omega, relaxation_rate):
 
 
 def normal_frequencies(medium):
-    """Return between which two numbers each normal frequency lies, from all of dense K.
-
-    Ascending arrays, apart by what rounding may do. An unstable mode stands at 0.
-    """
+    """Return ascending bounds of each normal frequency, by dense K; an unstable mode is at 0."""
     units = np.eye(medium.size).reshape(-1, *medium.shape)
     values = np.linalg.eigvalsh(medium.restoring_forces(units).reshape(-1, medium.size))
     error = 4 * len(values) * EPSILON * medium.stiffness_norm

@@ -96,8 +96,7 @@ class IntervalModels(Owner):
     def cover(self, low, high):
         """Yield models of intervals that follow each other from `low` to `high`, one row each.
 
-        Collective. Where rounding forbids the accuracy, the model is marked as not proven. Nothing
-        depends on clocks.
+        Collective. Nothing depends on clocks.
         """
         # Strategy: the model of an interval takes the moments at its two ends, each a factorization
         # that the next interval shares. An interval whose bound misses the accuracy is shortened by
@@ -163,10 +162,7 @@ class IntervalModels(Owner):
         return missed.max(), np.any(rounded)
 
     def moments(self, omega):
-        """Return the moments of A and of the adjoints, shape (systems, own balls, m).
-
-        Collective. Not finite where S cannot be factored, or PETSc fails, which is said.
-        """
+        """Return moments of A and adjoints, (systems, own balls, m); NaN on failure. Collective."""
         self.operators.combine(1j * omega)
         self.factorizations += 1
         ksp, moments = self._ksp, None
@@ -282,9 +278,9 @@ class IntervalModels(Owner):
 
 
 def tall_qr(columns, comm):
-    """Return Q, this rank's rows, and R of the QR factorizations of tall matrices, whole.
+    """Return Q, this rank's rows, and R of QR factorizations of tall matrices; the same R on all.
 
-    Collective over `comm`, whose ranks hold the rows, the last axis but one; R is the same on all.
+    Collective over `comm`, whose ranks hold the rows, the last axis but one.
     """
     q, r = _qr(columns)
     if comm.size == 1:
@@ -309,10 +305,7 @@ def _qr(columns):
 
 
 def qr_rounding(width):
-    """Return a u: W - Q R can be computed but for u times the norms of R's columns, and is no more.
-
-    Each entry is a sum of `width` products of complex numbers.
-    """
+    """Return a u: W - Q R is known to u times the norms of R's columns, and is no more."""
     return 2 * EPSILON * (width + 4) * math.sqrt(width)
 
 

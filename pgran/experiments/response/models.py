@@ -83,11 +83,10 @@ def point_dtype(detectors):
 
 
 def evaluate(model, omega, limits, derivatives=True):
-    """Return amplitudes at frequencies of an interval, derivatives, reactions, and all bounds.
+    """Return points, of `point_dtype`, at frequencies (n,) of an interval.
 
-    The `model` is a row or a dict of its arrays, `omega` (n,). What is returned is of the dtype
-    `point_dtype`, shape (n,); what cannot be computed is not finite. Without `derivatives` these
-    and the reactions are zero.
+    The `model` is a row or a dict of its arrays. What cannot be computed is not finite. Without
+    `derivatives` these and the reactions are zero.
     """
     if len(omega) < SHORTEST:
         return evaluate(model, np.resize(omega, SHORTEST), limits, derivatives)[: len(omega)]
