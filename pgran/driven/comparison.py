@@ -46,17 +46,22 @@ class Comparison(Owner):
         """What solves with it. Collective when first asked for."""
         return make_ksp(self.operators, self._matrix, "steady_comparison_", "preonly")
 
-    def forget_factor(self):
-        """Free what PETSc may have marked as failed for good. Collective."""
-        self.forget("_ksp", "_matrix")
-
     def prepare(self):
         """Set and factor <S> for this s; return whether it may prove anything. Collective."""
-        if self._compare() <= 0:
+        pointer, columns, values = self.operators.S.getValuesCSR()
+        first, last = self.operators.S.getOwnershipRange()
+        size = np.abs(values)
+        on_diagonal = columns == np.repeat(np.arange(first, last), np.diff(pointer))
+        size[~on_diagonal] *= -1.0
+        self._matrix.setValuesCSR(pointer, columns, size.astype(complex))
+        self._matrix.assemble()
+        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._matrix.setOption(PETSc.Mat.Option.HERMITIAN, False)  # which MUMPS cannot factor
+        if self.comm.allreduce(size.sum()) <= 0:  # 1^T <S> 1 shows at once where it is no use
             return False
         works = set_up(self._ksp, self._matrix, self.operators)
         if not works:
-            self.forget_factor()
+            self.forget("_ksp", "_matrix")
         return works
 
     def verified(self, residual, bounds):
@@ -75,16 +80,3 @@ class Comparison(Owner):
         rounding = bounds.unit * bounds.product_sizes(self.v) + 16 * SMALLEST_NORMAL
         proven = bool(np.all((v > 0) & (v < np.inf) & (product - rounding >= residual)))
         return self.v if self.comm.allreduce(proven, MPI.LAND) else None
-
-    def _compare(self):
-        """Set <S>; return 1^T <S> 1, which shows at once where it is no use."""
-        pointer, columns, values = self.operators.S.getValuesCSR()
-        first, last = self.operators.S.getOwnershipRange()
-        size = np.abs(values)
-        on_diagonal = columns == np.repeat(np.arange(first, last), np.diff(pointer))
-        size[~on_diagonal] *= -1.0
-        self._matrix.setValuesCSR(pointer, columns, size.astype(complex))
-        self._matrix.assemble()
-        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._matrix.setOption(PETSc.Mat.Option.HERMITIAN, False)  # which MUMPS cannot factor
-        return self.comm.allreduce(size.sum())

@@ -68,7 +68,7 @@ class Deformation:
         return changed + 2 * EPSILON * _column_sums(weights, self.coefficient_sizes)
 
     def residual(self, start, columns):
-        """Return bounds of a residual after each step, from those at the start and of Y's columns."""
+        """Return bounds of a residual after each step, by those at the start and of Y's columns."""
         rounding = self.missed_rounding(np.ones(self.missed.shape))
         missed = np.sum(self.missed_sizes, axis=0) + rounding
         return start + columns @ self.coefficient_sizes + self._bond * missed

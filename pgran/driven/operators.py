@@ -31,8 +31,8 @@ def unchanged(part):
 class Owner(AbstractContextManager):
     """Owns what its attributes `owns` hold: PETSc objects, other owners, or lists of them.
 
-    `destroy` or the end of a `with` frees it on the ranks `comm`. An attribute that is a
-    `cached_property` is made when it is first asked for, and anew after `forget`.
+    `destroy` or the end of a `with` frees it on the ranks `comm`. A `cached_property` is made when
+    it is first asked for, and anew after `forget`.
     """
 
     owns = ()
@@ -47,7 +47,7 @@ class Owner(AbstractContextManager):
             held.destroy()
 
     def forget(self, *names):
-        """Free what some attributes hold, which nothing else may use any more. Collective."""
+        """Delete some attributes, and free what they hold, of use to nothing else. Collective."""
         for held in self._held(names):
             held.destroy()
         for name in names:
@@ -62,10 +62,10 @@ class Owner(AbstractContextManager):
                 yield held
 
     def _held(self, names):
-        """Return what some attributes hold, as far as it is made."""
+        """Return what some attributes hold that can be destroyed, as far as it is made."""
         values = [vars(self).get(name) for name in names]
         lists = [item if isinstance(item, list) else [item] for item in values]
-        return [held for several in lists for held in several if held is not None]
+        return [held for several in lists for held in several if hasattr(held, "destroy")]
 
 
 class Operators(Owner):
@@ -141,9 +141,7 @@ class Operators(Owner):
                 self.C.assemble()
                 self._set_damping()
         self.constants, self.softest = constants, None
-        self.forget("sizes")
-        for name in ("laplacian", "doubled_diagonals", "stiffness_norm"):
-            vars(self).pop(name, None)
+        self.forget("sizes", "laplacian", "doubled_diagonals", "stiffness_norm")
         if bonds is None:
             self.K.setValuesCSR(*self.layout.csr(constants))
         else:
