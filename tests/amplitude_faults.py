@@ -45,18 +45,18 @@ def amplitude_faults(what, values, exact, bounds, good, tolerance, floor, seen):
             seen["bounds within 100 of these"] += bool(bound <= 100 * error)
 
 
-def response_of(case, omegas):
-    """What a case's solver finds, on this rank alone; every frequency is a unit of its own."""
+def response_of(case, omegas, comm=MPI.COMM_SELF):
+    """What a case's solver finds, ranks sharing the lattice; a frequency is a unit of its own."""
     asked = {"error_tolerance": case.tolerance, "error_floor": case.floor}
     with holding(option_values(SOLVERS[case.solver])):
-        return swept(case.lattice, omegas, case.sites, **asked)
+        return swept(case.lattice, omegas, case.sites, comm, comm.size, **asked)
 
 
-def sweep_faults(case, seen, eliminate=exact_amplitudes, stride=1):
+def sweep_faults(case, seen, comm=MPI.COMM_SELF, eliminate=exact_amplitudes, stride=1):
     """Compare every so many frequencies of a lattice's sweep with elimination in many digits."""
     lattice = case.lattice
     try:
-        found = response_of(case, case.omegas)
+        found = response_of(case, case.omegas, comm)
     except InputError:  # numbers too far apart for doubles
         seen["refused"] += 1
         return

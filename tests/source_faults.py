@@ -62,4 +62,4 @@ def source_faults(case, seen):
         reference = reference or NetworkReference(as_network(case.lattice))
         return reference.amplitudes(1j * omega, case.lattice.numbers_of(np.asarray(sites)))
 
-    yield from sweep_faults(case, seen, eliminated)
+    yield from sweep_faults(case, seen, eliminate=eliminated)

@@ -33,7 +33,9 @@ def main(stride, *shapes):
         shape, seen = tuple(map(int, text.split(","))), Counter()
         site, omegas = np.array([(8, 10)[: len(shape)]]), np.linspace(0.01, 1.3, 1291)
         case = Case(1993, Lattice.random(shape), omegas, site, "default", 1e-4, 1e-20, 60)
-        for fault in sweep_faults(case, seen, refined, int(stride) if len(shape) > 1 else 1):
+        for fault in sweep_faults(
+            case, seen, eliminate=refined, stride=int(stride) if len(shape) > 1 else 1
+        ):
             print(fault)
         print(f"{shape}:", ", ".join(f"{n:.7g} {what}" for what, n in seen.items()), flush=True)
 
