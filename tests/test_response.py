@@ -81,13 +81,6 @@ def test_phase_velocity_of_the_paper(response):
     assert abs(left.mean()) < 1e-9 > abs((left * omega[inside]).mean())
 
 
-def test_failures_are_counted_and_left_out_of_the_fit(world, solver_options):
-    solver_options("-steady_ksp_type gmres -steady_pc_type none -steady_ksp_max_it 1")
-    found = swept(random_lattice((8, 9)), np.linspace(0.1, 1.2, 23), (3, 4), world)
-    assert found.failures == 23
-    assert np.isnan([found.phase_slope, found.phase_velocity]).all()
-
-
 def test_without_damping_there_is_no_phase_to_follow(world):
     """The amplitude is real: its sign changes at resonances and between them, by jumps of pi."""
     lattice = random_lattice((8, 9), damping=0.0)

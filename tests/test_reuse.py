@@ -61,18 +61,11 @@ def test_what_to_expect_of_an_old_factorization():
             assert found == pytest.approx(count, rel=1e-9)
 
 
-def test_what_factors_by_default(solver_options):
-    """PETSc in the ordering of the smaller factor; MUMPS where lattices are large or shared."""
+def test_what_factors_by_default():
+    """PETSc, by orders of test_dissection.py; MUMPS where lattices are large or shared."""
     small, large = random_lattice((20, 20)), random_lattice((450, 450))
     assert factor_package(small, 1) == "petsc"
     assert factor_package(large, 1) == factor_package(small, 2) == "mumps"
-    entries = []
-    for options in ("", "-steady_pc_factor_mat_ordering_type nd"):
-        solver_options(options)
-        with steady(random_lattice((30, 30)), (5, 5)) as (_, solver):
-            solver.solve(0.6j)
-            entries.append(solver.factor.getInfo()["nz_used"])
-    assert entries[0] < entries[1]
 
 
 @pytest.mark.parametrize(
