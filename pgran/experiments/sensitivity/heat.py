@@ -174,10 +174,8 @@ class HeatSweep(AdjointSweep):
         fields = np.stack([x.solution.getArray(readonly=True) for x in systems], axis=1)
         norms = np.array([x.solution.norm() for x in systems])
         errors = errors + (self.scaled.springs.columns.shape[1] + 2) * EPSILON * norms
-        with (
-            BlockSolver(solver) as columns,
-            np.errstate(all="ignore"),
-        ):  # not finite: without a bound
+        # what is not finite is without a bound
+        with BlockSolver(solver) as columns, np.errstate(all="ignore"):
             for name, flexibility in self.flexibilities.items():
                 stretched = flexibility.stretched(fields, errors)
                 matrices = flexibility.matrices(columns)
