@@ -61,14 +61,14 @@ def good(part, of="amplitudes"):
 
 GUARANTEES = {
     "sweeps": Guarantee(
-        random_case, sweep_faults, 36, good(0.6), shared=(5, 6, 16, 22, 33, 39, 41)
+        random_case, sweep_faults, 28, good(0.6), shared=(5, 6, 16, 22, 33, 39, 41)
     ),
     "frequencies alone": Guarantee(random_case, dependence_faults, 12, good(0.5, "frequencies")),
     "sources": Guarantee(random_source, source_faults, 10, good(0.5)),
-    "networks": Guarantee(random_network, network_faults, 16, good(0.5), shared=range(100, 106)),
+    "networks": Guarantee(random_network, network_faults, 12, good(0.5), shared=range(100, 106)),
     "laws": Guarantee(lawful_network, network_faults, 6, good(0.5), shared=range(2)),
     "laws, forces": Guarantee(lawful_network, force_faults, 3, (("bounded", 0.5, "forces"),)),
-    "forces": Guarantee(small_network, force_faults, 16, (("bounded", 0.5, "forces"),)),
+    "forces": Guarantee(small_network, force_faults, 9, (("bounded", 0.5, "forces"),)),
     "green": Guarantee(random_patterns, pattern_faults, 6, good(0.5, "pairs"), shared=range(3)),
     "curves": Guarantee(random_curve, curve_faults, 1, (("accurate", 1, "points"),), {"count": 9}),
     "points": Guarantee(random_points, curve_faults, 1, (), {"count": 9}),
