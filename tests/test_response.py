@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from samples import random_lattice, reference_of, swept
 
-from pgran.driven.amplitudes import BLOCKS, CERTAIN, fit_phase
+from pgran.driven.amplitudes import CERTAIN_DEVIATION, FIT_BLOCKS, fit_phase
 from pgran.experiments.response.scene import ResponseSweep, summary
 from pgran.medium.lattice import Lattice
 from pgran.medium.record import LatticeRecord
@@ -116,7 +116,7 @@ def test_a_phase_that_is_certain_turns_as_on_a_finer_grid(world, response):
         coarse = swept(LATTICE, PAPER[::step], (8, 10), world)
         turned = np.diff(coarse.phase[:, 0])
         wrong = np.abs(turned - np.diff(response.phase[::step, 0])) > 1e-6
-        certain = coarse.line_error[1:, 0] <= CERTAIN
+        certain = coarse.line_error[1:, 0] <= CERTAIN_DEVIATION
         assert certain.any()
         assert not np.any(wrong & certain)
         missed.append(np.count_nonzero(wrong))
@@ -207,7 +207,7 @@ def test_the_standard_error_is_that_of_correlated_points():
         (X[X < 0.9], {}, [], "does not cover the window of the fit, 0.3 to 1 omega_mx"),
         (X[X > 0.4], {}, [], "does not cover the window of the fit, 0.3 to 1 omega_mx"),
         (X[:0], {}, [], "does not cover the window"),
-        (np.linspace(0.3, 1.0, BLOCKS - 1), {}, [], f"9 frequencies, and {BLOCKS} apart"),
+        (np.linspace(0.3, 1.0, FIT_BLOCKS - 1), {}, [], f"9 frequencies, and {FIT_BLOCKS} apart"),
     ],
 )
 def test_no_line_and_why(points, uncertain, unknown, reason):

@@ -11,9 +11,9 @@ from pgran.store.estimate import counted
 
 # Where the curve stays within this part of the amplitude of the straight line between two points,
 # its phase turns as that line's does.
-CERTAIN = 0.25
-BLOCKS = 10  # of the window of a fit, each several resonances wide
-BENT = 2.0  # a phase is no line if its slope in one half of the window is so many times the other's
+CERTAIN_DEVIATION = 0.25
+FIT_BLOCKS = 10  # of the window of a fit, each several resonances wide
+LARGEST_BEND = 2.0  # of a line: its slope in one half of the window over that in the other
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def fit_phase(x, phase, line_error, low, high):
 
     The line is that of least squares along the curve, whose points may lie closer here than there.
     What it misses is correlated over the width of a resonance; so the standard error is that of
-    `BLOCKS` parts of the window, `low` to `high`, taken as independent.
+    `FIT_BLOCKS` parts of the window, `low` to `high`, taken as independent.
 
     `x` (n,) are frequencies in units of omega_mx, `phase` is unwrapped, NaN where unknown, and
     `line_error` is how far the curve leaves the straight line from the point before.
@@ -106,15 +106,15 @@ def fit_phase(x, phase, line_error, low, high):
     # Rounding of the window's ends leaves no point out. Neighbours across an end count as well.
     inside = (low * (1 - 1e-9) <= x) & (x <= high * (1 + 1e-9))
     between = (x[1:] > low * (1 + 1e-9)) & (x[:-1] < high * (1 - 1e-9))
-    certain = (line_error[1:] <= CERTAIN) & np.isfinite(phase[1:] - phase[:-1])
+    certain = (line_error[1:] <= CERTAIN_DEVIATION) & np.isfinite(phase[1:] - phase[:-1])
     uncertain = np.flatnonzero(between & ~certain)
     if uncertain.size:
         first = uncertain[0]
         why = f"the phase is not certain between {x[first]:.6g} and {x[first + 1]:.6g} omega_mx"
         return PhaseLine(why_not=why + and_more(uncertain.size - 1))
     x, phase = x[inside], phase[inside]
-    if len(x) < BLOCKS or np.ptp(x) < 1e-10 * x[-1]:
-        why = f"the window of the fit holds {len(x)} frequencies, and {BLOCKS} apart are needed"
+    if len(x) < FIT_BLOCKS or np.ptp(x) < 1e-10 * x[-1]:
+        why = f"the window of the fit holds {len(x)} frequencies, and {FIT_BLOCKS} apart are needed"
         return PhaseLine(why_not=why)
     slope, intercept, along = _least_squares(x, phase)
     middle = 0.5 * (x[0] + x[-1])
@@ -125,12 +125,12 @@ def fit_phase(x, phase, line_error, low, high):
         for half in (slice(place + 1), slice(place, None))
     )
     less, more = sorted([abs(lower), abs(upper)])
-    if not (lower * upper > 0 and more <= BENT * less):
+    if not (lower * upper > 0 and more <= LARGEST_BEND * less):
         why = f"its slope is {lower:.4g} in the lower half of the window, {upper:.4g} in the upper"
         return PhaseLine(why_not=f"the phase is not a straight line: {why} (rad per omega_mx)")
     missed = along * (phase - intercept - slope * x)
-    block = np.minimum((x - x[0]) / (x[-1] - x[0]) * BLOCKS, BLOCKS - 1).astype(int)
-    spread = np.sum(np.bincount(block, missed, BLOCKS) ** 2) * BLOCKS / (BLOCKS - 2)
+    block = np.minimum((x - x[0]) / (x[-1] - x[0]) * FIT_BLOCKS, FIT_BLOCKS - 1).astype(int)
+    spread = np.sum(np.bincount(block, missed, FIT_BLOCKS) ** 2) * FIT_BLOCKS / (FIT_BLOCKS - 2)
     return PhaseLine(slope, np.sqrt(spread) / (along @ x), intercept, x[0], x[-1])
 
 

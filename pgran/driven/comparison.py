@@ -24,7 +24,7 @@ from pgran.driven.operators import Owner
 from pgran.medium.base import SMALLEST_NORMAL
 from pgran.run.petsc import PETSc
 
-LEAST_PROVEN = 1e-290  # what is proven of no amplitude is less
+LEAST_PROVEN = 1e-290  # no bound that is proven of an amplitude's error is smaller
 
 
 class Comparison(Owner):

@@ -15,11 +15,12 @@ from pgran.driven.operators import SAME, NetworkLayout, Owner
 from pgran.medium.springs import norm_of
 from pgran.run.petsc import PETSc
 
-SLOW = 0.05  # seconds of a lattice's factorization from which SuperLU's dense blocks are faster
-PARTS = (0.9, 0.5, 0.1, 0.01)  # of an estimate of the smallest eigenvalue that are tried
-STEPS = 20  # of inverse iteration at most
-ENOUGH = 0.99  # of the last quotient: inverse iteration that lowers it less has come near enough
-FLOORS = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1)  # of |K|: how far below zero its eigenvalues may be
+SLOW_SECONDS = 0.05  # of a lattice's factorization, from which on SuperLU is faster
+TRIED_PARTS = (0.9, 0.5, 0.1, 0.01)  # of an estimate of the smallest eigenvalue that are tried
+MOST_STEPS = 20  # of inverse iteration at most
+CONVERGED_PART = 0.99  # of the last quotient: what lowers it less has come near enough
+# of |K|: how far below zero its eigenvalues may be
+STIFFNESS_FLOORS = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1)
 
 
 def smallest_damping(lattice):
@@ -67,7 +68,7 @@ def smallest_stiffness(operators):
 def is_stable(network):
     """Return whether no eigenvalue of K is negative but for rounding, certified by a count."""
     part, _ = _floor(network, network.constants)
-    return part == FLOORS[0]
+    return part == STIFFNESS_FLOORS[0]
 
 
 def _floor(network, constants):
@@ -76,10 +77,10 @@ def _floor(network, constants):
         csr = layout.csr(constants)
     matrix = PETSc.Mat().createAIJ((network.size,) * 2, csr=csr, comm=MPI.COMM_SELF)
     with ModeCounter(matrix, network) as counter:
-        certain = (p for p in FLOORS if counter.below(-p * counter.norm, p / 2 * counter.norm) == 0)
-        part = next(certain, 1.01)
+        norm, floors = counter.norm, STIFFNESS_FLOORS
+        part = next((p for p in floors if counter.below(-p * norm, p / 2 * norm) == 0), 1.01)
     matrix.destroy()
-    return part, counter.norm
+    return part, norm
 
 
 def _least(medium, constants, norm, diagonal=0.0):
@@ -101,18 +102,19 @@ def _least(medium, constants, norm, diagonal=0.0):
         estimate = _estimate(matrix, RealFactors(matrix, -8 * rounding))
     except ZeroDivisionError:
         return 0.0
-    return next(filter(None, (proven_gap(matrix, p * estimate, 0, rounding) for p in PARTS)), 0.0)
+    proven = (proven_gap(matrix, part * estimate, 0, rounding) for part in TRIED_PARTS)
+    return next(filter(None, proven), 0.0)
 
 
 def _estimate(matrix, factors):
     """Return the Rayleigh quotient of inverse iteration, once a step changes it little."""
     x = np.random.Generator(np.random.Philox(1)).standard_normal(matrix.shape[0])
     last = np.inf
-    for _ in range(STEPS):
+    for _ in range(MOST_STEPS):
         x = factors.solve(x)
         x /= np.linalg.norm(x)
         quotient = x @ (matrix @ x)
-        if not quotient < ENOUGH * last:  # NaN too
+        if not quotient < CONVERGED_PART * last:  # NaN too
             break
         last = quotient
     return quotient
@@ -122,9 +124,9 @@ class ModeCounter(Owner):
     """Counts the eigenvalues below a shift of K, or C, of a lattice or network.
 
     Each rank counts on a copy of its own, because PETSc's own factorization, the only one that
-    gives the inertia of complex matrices everywhere, is serial. Where it would take long (`SLOW`)
-    SciPy's SuperLU does it unless options choose. No eigenvalue exceeds `norm`, |K|_inf, 1 if K is
-    zero; there are `order` of them.
+    gives the inertia of complex matrices everywhere, is serial. Where it would take long SciPy's
+    SuperLU does it unless options choose. No eigenvalue exceeds `norm`, |K|_inf, 1 if K is zero;
+    there are `order` of them.
     """
 
     owns = ("_pc", "_shifted", "_x", "_rhs", "_residual")
@@ -140,7 +142,7 @@ class ModeCounter(Owner):
         self._rhs.setArray(np.random.Generator(np.random.Philox(1)).standard_normal(self.order))
         self.costly = elimination.costly
         chosen = PETSc.Options("normal_count_").hasName("pc_type")
-        slow = self.costly or (lattice.is_grid and elimination.seconds > SLOW)
+        slow = self.costly or (lattice.is_grid and elimination.seconds > SLOW_SECONDS)
         self._factor = self._by_superlu if slow and not chosen else self._by_petsc
         self._pc = PETSc.PC().create(K.getComm())
         self._pc.setOptionsPrefix("normal_count_")

@@ -25,9 +25,9 @@ import numpy as np
 
 from pgran.medium.base import EPSILON
 
-PASSES = 4  # of a power iteration, each of which sharpens a bound
-ROUNDED = 1.01  # covers the rounding of the bound itself
-SHARP = 0.05  # of a shift: how sharp the bound of the factors' error need be
+BOUND_PASSES = 4  # of a power iteration, each of which sharpens a bound
+BOUND_ROUNDING = 1.01  # covers the rounding of the bound itself
+BOUND_SHARPNESS = 0.05  # of a shift: how sharp the bound of the factors' error need be
 
 
 class RealFactors:
@@ -90,9 +90,9 @@ class RealFactors:
         # Where F bounds |E| entry by entry, |E|_2 is no more than F's spectral radius, and that no
         # more than the largest (F v)_i / v_i of any positive v (Collatz and Wielandt).
         vector, bound = np.ones(self.size), np.inf
-        for _ in range(PASSES):
+        for _ in range(BOUND_PASSES):
             product = weight * (lower @ (upper @ vector)) + lower @ (apart @ vector)
-            bound = ROUNDED * float(np.max(product / vector)) + EPSILON * self._largest
+            bound = BOUND_ROUNDING * float(np.max(product / vector)) + EPSILON * self._largest
             if bound <= enough:
                 break
             vector = product / product.max()
@@ -114,7 +114,7 @@ def proven_gap(K, shift, count, rounding=0.0):
     if factors.negative != count:
         return 0.0
     # the factors are those of a matrix as near to K as their error: so are its eigenvalues
-    return max(0.99 * (shift - factors.error(SHARP * shift) - rounding), 0.0)
+    return max(0.99 * (shift - factors.error(BOUND_SHARPNESS * shift) - rounding), 0.0)
 
 
 def proven_least(S, c, rounding=0.0):

@@ -30,8 +30,8 @@ from pgran.run.petsc import PETSc
 
 log = logging.getLogger("pgran")
 
-PASSES = 20  # of iterative refinement with one factorization, if each halves a bound
-SAFETY = 0.3  # aim at this part of what the tolerance allows
+REFINEMENTS = 20  # of iterative refinement with one factorization, if each halves a bound
+AIMED_PART = 0.3  # aim at this part of what the tolerance allows
 
 
 class SteadySolver(Owner):
@@ -191,7 +191,7 @@ class SteadySolver(Owner):
     def _refined(self, s, fresh, state=None):
         """Return the state after as many passes of refinement as help, from one before or none."""
         krylov, size = self._krylov, self._size if state is None else np.abs(state.displacement)
-        for attempt in range(PASSES):
+        for attempt in range(REFINEMENTS):
             previous = state
             if attempt or not fresh:
                 self._improve_all(size)
@@ -219,7 +219,7 @@ class SteadySolver(Owner):
         # about 1 that takes |r| <= sqrt(goal |f|), |q| <= sqrt(goal / |f|).
         goal, field = np.zeros(len(adjoints)), 0.0
         if self.bounds.proven:
-            share = SAFETY * self.tolerance / self.bounds.inverse_norm
+            share = AIMED_PART * self.tolerance / self.bounds.inverse_norm
             goal = share * size
             field = share * primal.solution.norm() if self.whole_field else math.inf
         force = primal.rhs.norm()

@@ -23,19 +23,19 @@ from pgran.run.task import Task, carry_out
 from pgran.store.record import columns_of
 
 # Intervals that a unit of work is expected to need; it begins with a factorization of its own.
-UNIT, MAX_UNITS = 22, 64
+UNIT_INTERVALS, MAX_UNITS = 22, 64
 # A curve pays where so many frequencies are asked for in each interval that it is expected to need;
 # where none are added to resolve it, it gives no more than points, and must be faster by itself.
 PAYS, PAYS_ALONE = 4, 20
-FREQUENCIES = 8  # in an interval: where fewer are asked for, others are looked at as well
+FEW_POINTS = 8  # frequencies in an interval: where fewer are asked for, others are looked at, too
 STORED_BYTES = 2**24  # of models that are stored unasked
-PLACES = 0.25, 0.5, 0.75  # between two neighbours, where the cubic is compared with the line
-SHARE = 0.8  # aim at this part of the deviation allowed, which the cubic only estimates
-DOUBT = 0.3  # of that part: where the cubic says more, the line is looked at once more
-DENSE = 1000  # unknowns, of which all normal frequencies are found in a tenth of a second
+COMPARED_PLACES = 0.25, 0.5, 0.75  # between neighbours, of the cubic with the line
+AIMED_SHARE = 0.8  # aim at this part of the deviation allowed, which the cubic only estimates
+DOUBTFUL_SHARE = 0.3  # of that part: where the cubic says more, the line is looked at once more
+DENSE_UNKNOWNS = 1000  # unknowns, of which all normal frequencies are found in a tenth of a second
 MAX_ADDED = 7  # frequencies between two neighbours in one pass
-PASSES = 40
-LOOSEST = 0.5  # of the amplitude: lines further off than that are wrong for any use
+RESOLVING_PASSES = 40
+LARGEST_DEVIATION = 0.5  # of the amplitude: lines further off than that are wrong for any use
 
 
 def choose_method(method, lattice, omegas, tolerance, fields):
@@ -54,7 +54,7 @@ def choose_method(method, lattice, omegas, tolerance, fields):
         return "points"
     _, counts = expected_intervals(lattice, omegas[0], omegas[-1])
     pays = PAYS_ALONE if tolerance == 0 else PAYS
-    return "curve" if len(omegas) >= pays * max(counts[-1], FREQUENCIES) else "points"
+    return "curve" if len(omegas) >= pays * max(counts[-1], FEW_POINTS) else "points"
 
 
 def _why_no_curve(lattice, omegas, fields):
@@ -158,7 +158,7 @@ class IntervalSweep(Task):
         check_memory("sweep_method", int(total) * self.row.itemsize)
         # An even number, and some at least, so that few ranks have equal shares: towards the ends
         # of a sweep, where the curve is smooth, intervals are longer than is expected.
-        units = max(2 * round(total / (2 * UNIT)), min(6, int(total / 8)))
+        units = max(2 * round(total / (2 * UNIT_INTERVALS)), min(6, int(total / 8)))
         units = min(max(units, 1), MAX_UNITS)
         ends = np.interp(np.linspace(0, total, units + 1), self.counts, self.frequencies)
         ends[[0, -1]] = omegas[[0, -1]]
@@ -212,7 +212,7 @@ class CurvePoints(Task):
         asked = self.omegas[first:last]
         if not self.tolerance:
             return evaluate(model, asked, self.limits)
-        between = np.linspace(low, high, FREQUENCIES + 1 if len(asked) < FREQUENCIES else 2)
+        between = np.linspace(low, high, FEW_POINTS + 1 if len(asked) < FEW_POINTS else 2)
         above = model["poles"][np.isfinite(model["poles"])]
         start = np.unique(np.concatenate([asked, between, above]))
         points = resolve(partial(evaluate, model, limits=self.limits), start, self.tolerance)
@@ -226,15 +226,15 @@ def resolve(evaluate, omegas, tolerance):
     `models.evaluate` does; `omegas`, ascending, are those to begin with.
     """
     points = evaluate(omegas)
-    for _ in range(PASSES):
+    for _ in range(RESOLVING_PASSES):
         omega = points["omega"]
         missed = deviation(omega, points["displacement"], points["derivative"]).max(axis=1)
-        missed /= SHARE * tolerance
+        missed /= AIMED_SHARE * tolerance
         missed[(np.diff(omega) <= 1e-12 * omega[1:]) | ~np.isfinite(missed)] = 0.0
         # the deviation falls with the square of the distance
         count = np.clip(np.ceil(np.sqrt(missed)) - 1, 0, MAX_ADDED).astype(int)
         if not count.any():
-            count = _astray(evaluate, points, missed > DOUBT, tolerance).astype(int)
+            count = _astray(evaluate, points, missed > DOUBTFUL_SHARE, tolerance).astype(int)
         if not count.any():
             break
         # count[i] frequencies cut line i into equal parts
@@ -272,7 +272,7 @@ def deviation(omega, amplitude, derivative):
         below, above = width * derivative[:-1] - chord, width * derivative[1:] - chord
         # besides, where the line is nearest to zero
         nearest = np.where(chord == 0, 0.5, np.clip((-amplitude[:-1] / chord).real, 0, 1))
-        t = np.stack(np.broadcast_arrays(*PLACES, nearest))
+        t = np.stack(np.broadcast_arrays(*COMPARED_PLACES, nearest))
         bend = t * (1 - t) * ((1 - t) * below - t * above)
         relative = np.abs(bend) / np.abs(amplitude[:-1] + t * chord + bend)
     return np.where(np.isfinite(relative), relative, np.inf).max(axis=0)
@@ -282,21 +282,21 @@ def line_errors(medium, omega, amplitude, derivative, modelled, tolerance):
     """Return how far the curve may leave straight lines between neighbours, relative to itself.
 
     Where no proven model was compared with a line, `modelled` (n - 1,), the `deviation`, which the
-    cubic only estimates, is raised by 1 / `SHARE`, and by what it would miss of a resonance between
-    the neighbours. The medium is in its own unit; its normal frequencies are looked for only if a
-    line's meeting the `tolerance` hangs on them.
+    cubic only estimates, is raised by 1 / `AIMED_SHARE`, and by what it would miss of a resonance
+    between the neighbours. The medium is in its own unit; its normal frequencies are looked for
+    only if a line's meeting the `tolerance` hangs on them.
     """
     seen = deviation(omega, amplitude, derivative)
-    hides = np.where(modelled, 1.0, hidden_part(omega, medium.relaxation_rate) / SHARE)
+    hides = np.where(modelled, 1.0, hidden_part(omega, medium.relaxation_rate) / AIMED_SHARE)
     with np.errstate(invalid="ignore"):
-        doubtful = (seen <= LOOSEST) & (seen * hides[:, None] > tolerance)
-    if doubtful.any() and medium.size <= DENSE:
+        doubtful = (seen <= LARGEST_DEVIATION) & (seen * hides[:, None] > tolerance)
+    if doubtful.any() and medium.size <= DENSE_UNKNOWNS:
         # which lines have no mode between their ends, nor as near as these are to each other
         lowest, highest = normal_frequencies(medium)
         width = np.diff(omega)
         begun = np.searchsorted(lowest, omega[1:] + width, side="right")
         clear = begun <= np.searchsorted(highest, omega[:-1] - width)
-        hides[clear & ~modelled] = 1 / SHARE
+        hides[clear & ~modelled] = 1 / AIMED_SHARE
     with np.errstate(invalid="ignore"):  # 0 times infinity
         return np.where(np.isinf(hides)[:, None], np.inf, seen * hides[:, None])
 

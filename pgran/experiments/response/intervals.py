@@ -29,10 +29,10 @@ from pgran.run.petsc import PETSc
 
 log = logging.getLogger("pgran")
 
-CHECKS = 9  # Chebyshev points of an interval where its bound is checked
-SHARE = 0.5  # of what rounding leaves of the allowed, where it is checked; for what is between
-BLOCK = 400  # rows that are factored at once, and stay in the cache
-SUMMED = 256  # rows of a product that are summed up on their own
+CHECKED_POINTS = 9  # Chebyshev points of an interval where its bound is checked
+LENGTH_SHARE = 0.5  # of what rounding leaves of the allowed, at checked points: more is between
+QR_ROWS = 400  # rows that are factored at once, and stay in the cache
+SUM_ROWS = 256  # rows of a product that are summed up on their own
 
 
 class IntervalModels(Owner):
@@ -74,7 +74,7 @@ class IntervalModels(Owner):
         """Return what bounds the errors of all models."""
         operators, rounding = self.operators, self.operators.rounding
         # a path through the sums of `products`, over the ranks, and of the small algebra
-        terms = 2 * SUMMED + operators.size / SUMMED + 2 * self.comm.size + 3 * self.width + 16
+        terms = 2 * SUM_ROWS + operators.size / SUM_ROWS + 2 * self.comm.size + 3 * self.width + 16
         drive, damped = 1.01 * np.sqrt(self._total(squares(self._loads[0])))
         return ModelLimits(
             stability=operators.damping * smallest_damping(operators.lattice),
@@ -144,7 +144,7 @@ class IntervalModels(Owner):
         Checked at the ends, at Chebyshev points, and above the poles.
         """
         low, high = model["low"], model["high"]
-        angles = np.pi * (np.arange(CHECKS) + 0.5) / CHECKS
+        angles = np.pi * (np.arange(CHECKED_POINTS) + 0.5) / CHECKED_POINTS
         inner = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(angles)
         above = poles(model["own"], low, high)
         model["poles"] = above[0]
@@ -155,7 +155,7 @@ class IntervalModels(Owner):
             allowed = self.tolerance * np.abs(points["displacement"]) / (1 + self.tolerance)
             # the part of a bound that the length decides may be a share of what rounding leaves
             room = allowed - points["rounding"]
-            missed = (points["error_bound"] - points["rounding"]) / (SHARE * room)
+            missed = (points["error_bound"] - points["rounding"]) / (LENGTH_SHARE * room)
             rounded = ~np.all(room > 0, axis=1)
             missed = np.where(rounded, np.inf, missed.max(axis=1))
         missed[np.isnan(missed)] = np.inf
@@ -294,7 +294,7 @@ def tall_qr(columns, comm):
 def _qr(columns):
     """Factor block by block, small enough for the cache, then the triangles of the blocks."""
     *several, rows, width = columns.shape
-    blocks = rows // max(BLOCK, 4 * width)
+    blocks = rows // max(QR_ROWS, 4 * width)
     if blocks < 2:
         return np.linalg.qr(columns)
     padding = [(0, 0)] * len(several) + [(0, -rows % blocks), (0, 0)]
@@ -311,12 +311,12 @@ def qr_rounding(width):
 
 def products(Z, W):
     """Return Z^T W of this rank's rows, block by block: rounding adds up in short sums."""
-    if len(W) <= 2 * SUMMED:
+    if len(W) <= 2 * SUM_ROWS:
         return Z.swapaxes(-1, -2) @ W
-    blocks = -(-len(W) // SUMMED)
+    blocks = -(-len(W) // SUM_ROWS)
     Z, W = (
-        np.pad(x, [*[(0, 0)] * (x.ndim - 2), (0, blocks * SUMMED - len(W)), (0, 0)])
-        .reshape(*x.shape[:-2], blocks, SUMMED, x.shape[-1])
+        np.pad(x, [*[(0, 0)] * (x.ndim - 2), (0, blocks * SUM_ROWS - len(W)), (0, 0)])
+        .reshape(*x.shape[:-2], blocks, SUM_ROWS, x.shape[-1])
         for x in (Z, W)
     )  # fmt: skip
     return (Z.swapaxes(-1, -2) @ W).sum(axis=-3)
