@@ -1,7 +1,7 @@
 """How far off driven amplitudes are: rigorous bounds of their errors, rounding included.
 
-S(s) = K + i L + s beta C + s^2 m with C and L positive definite and
-K semidefinite; drag is a part of C. For s = sigma + i omega
+S(s) = K + i L + s beta C + s^2 m with C and L positive definite and K semidefinite; drag is a part
+of C. For s = sigma + i omega
 
     Re(conj(s) x^H S x) = sigma x^H K x + omega x^H L x + |s|^2 (beta x^H C x + sigma m x^H x),
 
@@ -14,12 +14,12 @@ beta |C| still does better than damping alone. That no eigenvalue is nearer than
 by counting those below m omega^2 - delta and below m omega^2 + delta (`counting`). Where all this
 proves nothing, or too little, S itself is counted, whatever damps (`factors`).
 
-Take approximate solutions A~ of S A = f and z~ of S z = e_d with residuals
-r and q. Because S is symmetric, A_d - (A~_d + z~^T r) = q^T S^-1 r, and so the corrected amplitude
-A~_d + z~^T r is wrong by at most |r|_2 |q|_2 / c: a product of two residuals, each of which needs
-half the digits only. They are known up to rounding; what that can change is bounded in terms of
-|f| + |S| |A~|, ball by ball, because amplitudes fall by many orders across a lattice. What is lost
-below the smallest normal double, of a square above all, is counted too.
+Take approximate solutions A~ of S A = f and z~ of S z = e_d with residuals r and q. Because S is
+symmetric, A_d - (A~_d + z~^T r) = q^T S^-1 r, and so the corrected amplitude A~_d + z~^T r is wrong
+by at most |r|_2 |q|_2 / c: a product of two residuals, each of which needs half the digits only.
+They are known up to rounding; what that can change is bounded in terms of |f| + |S| |A~|, ball by
+ball, because amplitudes fall by many orders across a lattice. What is lost below the smallest
+normal double, of a square above all, is counted too.
 
 Where the product of norms says too little, `comparison` bounds the errors ball by ball.
 """
@@ -144,9 +144,9 @@ class Accuracy(Owner):
     def stability(self, s):
         """Return a c with |S x|_2 >= c |x|_2 for every x; 0 if none is certain."""
         operators, size = self.operators, abs(s)
-        least = operators.damping and operators.damping * (
-            size * smallest_damping(operators.lattice)
-        )
+        least = 0.0
+        if operators.damping:
+            least = operators.damping * (size * smallest_damping(operators.lattice))
         least += size * s.real * operators.mass
         if s:
             least += s.imag / size * smallest_loss(operators.lattice)
@@ -271,9 +271,8 @@ class Accuracy(Owner):
                 bound[d] = theory + rounding
             if self.whole_field:
                 field_bound = 1.01 * self._residual * self.inverse_norm
-        state = SteadyState(
-            s, displacement, bound, backward_error, krylov.iterations, 0, field_bound
-        )
+        numbers = displacement, bound, backward_error, krylov.iterations
+        state = SteadyState(s, *numbers, converged_reason=0, field_bound=field_bound)
         if self.proven:
             return self.judged(state, primal, krylov)
         good = backward_error <= BACKWARD_ERROR and np.isfinite(displacement).all()
