@@ -61,7 +61,7 @@ def good(part, of="amplitudes"):
 
 GUARANTEES = {
     "sweeps": Guarantee(
-        random_case, sweep_faults, 28, good(0.6), shared=(5, 6, 16, 22, 33, 39, 41)
+        random_case, sweep_faults, 28, good(0.6), shared=(5, 6, 16, 22, 33, 39, 41, 50)
     ),
     "frequencies alone": Guarantee(random_case, dependence_faults, 12, good(0.5, "frequencies")),
     "sources": Guarantee(random_source, source_faults, 10, good(0.5)),

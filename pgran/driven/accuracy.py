@@ -309,10 +309,10 @@ class Accuracy(Owner):
 
     def _withstands_rounding(self, displacement, terms, size, krylov):
         """Return whether a residual as rounding leaves it, of random signs, changes too little."""
-        layout = self.operators.layout
-        signs = np.where(unit_numbers(0, 0, self.operators.size) < 0.5, -1.0, 1.0)
-        signs = layout.free_values(signs.reshape(self.operators.shape))
-        self._work.setArray(self.unit * terms * signs)
+        # by sizes that differ, too: plain signs may be orthogonal to a mode of a uniform lattice
+        draws = unit_numbers(0, 0, self.operators.size) - 0.5
+        draws = (np.copysign(0.5, draws) + 2 * draws).reshape(self.operators.shape)
+        self._work.setArray(self.unit * terms * self.operators.layout.free_values(draws))
         moved = krylov.roughly_solved(self._work)
         if moved is None:
             return False
