@@ -85,7 +85,7 @@ def test_pattern_and_symmetry_do_not_change(comm):
 def test_changed_bonds_leave_nothing_behind(comm, shape, law):
     """One bond after the other, many at once, and all: as assembled anew, bit for bit."""
     lattice, rng = random_lattice(shape, 11, law=law), np.random.default_rng(3)
-    constants, count = lattice.constants, len(lattice.constants)
+    constants, count = lattice.constants.copy(), len(lattice.constants)
     some = {0, count - 1, *rng.integers(0, count, 6).tolist()}
     changes = [*([bond] for bond in sorted(some)), range(0, count, 2), range(count), [], [0, 0]]
     with Operators(lattice, comm) as operators:
