@@ -248,28 +248,21 @@ class Operators(Owner):
 class Layout(Owner):
     """How the unknowns of a medium are numbered, shared out over ranks, and coupled. Collective.
 
-    One rank alone numbers them in an `order`, several share them by a `partition`. `numbers` are
-    PETSc's of the medium's unknowns, of which this rank has those from `first` to `last`; `like` is
-    a vector of them, to duplicate. Of each spring `ends` (springs, w) are the unknowns in its row
-    of B, PETSc's numbers, -1 for none, and `entries`, which may be one row for all, B's entries
-    there; `drive` is how far it is stretched when what is driven moves by 1. `laplacian` says that
-    a spring of positive constant has no positive entry beside the diagonal.
+    A DMDA shares out a lattice, a `partition` any other network; one rank alone numbers unknowns in
+    the order of elimination. `numbers` are PETSc's of the medium's unknowns, of which this rank has
+    those from `first` to `last`; `like` is a vector of them, to duplicate. Of each spring `ends`
+    (springs, w) are the unknowns in its row of B, PETSc's numbers, -1 for none, and `entries`,
+    which may be one row for all, B's entries there; `drive` is how far it is stretched when what is
+    driven moves by 1. `laplacian` says that a spring of positive constant has no positive entry
+    beside the diagonal.
     """
 
     owns = ("like",)
 
-    def __init__(self, medium, comm, order):
-        self.medium, self.comm, own = medium, comm, medium.size
-        if comm.size > 1:
-            parts = partition(medium, comm.size)
-            order, own = np.argsort(parts, kind="stable"), np.count_nonzero(parts == comm.rank)
-        numbers = np.empty(medium.size, dtype=PETSc.IntType)
-        numbers[order] = np.arange(medium.size)
+    def __init__(self, medium, comm, like, numbers):
+        self.medium, self.comm, self.like = medium, comm, like
         self.numbers = numbers.reshape(medium.shape)
-        self.like = PETSc.Vec().create(comm)
-        self.like.setSizes((own, None))
-        self.like.setType(PETSc.Vec.Type.STANDARD)
-        self.first, self.last = self.like.getOwnershipRange()
+        self.first, self.last = like.getOwnershipRange()
 
     def free_values(self, field):
         """Return this rank's entries of an array over all unknowns, the same on every rank."""
@@ -332,19 +325,27 @@ class Layout(Owner):
 
 
 class LatticeLayout(Layout):
-    """The balls of a lattice: each has as many bonds, to a neighbour or a wall."""
+    """The balls of a lattice on a DMDA: each has as many bonds, to a neighbour or a wall."""
 
+    owns = ("like", "da")
     laplacian = True
 
     def __init__(self, lattice, comm):
-        if comm.size > lattice.size:
-            why = f"{lattice.size} balls cannot be cut among {comm.size} ranks"
-            raise InputError(f"-ranks_per_lattice: {why}")
-        if lattice.elimination.numbered:
-            order = lattice.order
+        try:
+            self.da = PETSc.DMDA().create(
+                sizes=lattice.shape, dof=1, stencil_width=1, stencil_type="star", comm=comm
+            )
+        except PETSc.Error as error:
+            shape = " x ".join(map(str, lattice.shape))
+            why = f"{shape} balls cannot be cut among {comm.size} ranks"
+            raise InputError(f"-ranks_per_lattice: {why}") from error
+        if comm.size == 1 and lattice.elimination.numbered:
+            numbers = in_order(lattice.order)
         else:
-            order = np.arange(lattice.size).reshape(lattice.shape).ravel(order="F")
-        super().__init__(lattice, comm, order)
+            natural = np.arange(lattice.size, dtype=PETSc.IntType)
+            natural = natural.reshape(lattice.shape, order="F")  # the first axis runs fastest
+            numbers = self.da.getAO().app2petsc(natural.ravel())
+        super().__init__(lattice, comm, self.da.createGlobalVec(), numbers)
         self.ends, self.entries = bond_ends(self.numbers), SIGNS[None]
         self.drive = lattice.drive
         # The place 2 b + side in `ends` is that of an end of bond b; its other end is at place ^ 1.
@@ -379,10 +380,15 @@ class LatticeLayout(Layout):
 
 
 class NetworkLayout(Layout):
-    """The unknowns of any network, or of a lattice like others."""
+    """The unknowns of any network, on ranges of a partition."""
 
     def __init__(self, network, comm):
-        super().__init__(network, comm, network.order)
+        order, own = network.order, network.size
+        if comm.size > 1:
+            parts = partition(network, comm.size)
+            order, own = np.argsort(parts, kind="stable"), np.count_nonzero(parts == comm.rank)
+        like = PETSc.Vec().createMPI((own, None), comm=comm)
+        super().__init__(network, comm, like, in_order(order))
         springs, none = network.springs, np.array(-1, PETSc.IntType)
         self.ends, self.entries = np.append(self.numbers, none)[springs.columns], springs.values
         self.drive, self.laplacian = springs.drive, network.components == 1
@@ -446,25 +452,30 @@ class NetworkLayout(Layout):
         matrix.setValuesCSR(*self.csr(constants))
 
 
-def partition(medium, parts):
+def in_order(order):
+    """Return the number of each unknown, where these come in an order."""
+    numbers = np.empty(len(order), dtype=PETSc.IntType)
+    numbers[order] = np.arange(len(order))
+    return numbers
+
+
+def partition(network, parts):
     """Return which rank has each unknown: those of a ball together, neighbours mostly, as many.
 
     By bisection along the longest extent of the positions, or along the order of Cuthill and McKee.
     """
-    if medium.is_grid:
-        where = np.indices(medium.shape).reshape(medium.axes, -1).T
-    elif medium.position is not None:
-        where = medium.position[medium.free]
+    if network.position is not None:
+        where = network.position[network.free]
     else:
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-        total = len(medium.held)
-        ones, (i, j) = np.ones(len(medium.bond)), medium.bond.T
+        total = len(network.held)
+        ones, (i, j) = np.ones(len(network.bond)), network.bond.T
         order = reverse_cuthill_mckee(coo_matrix((ones, (i, j)), (total, total)).tocsr())
         rank = np.empty(total)
         rank[order] = np.arange(total)
-        where = rank[medium.free][:, None]
+        where = rank[network.free][:, None]
     rank_of, left = np.zeros(len(where), dtype=int), [(np.arange(len(where)), 0, parts)]
     while left:  # cut the balls `here`, which are for `count` ranks from `first` on
         here, first, count = left.pop()
@@ -476,4 +487,4 @@ def partition(medium, parts):
         half = count // 2
         split = len(here) * half // count
         left += [(order[:split], first, half), (order[split:], first + half, count - half)]
-    return np.repeat(rank_of, medium.components)
+    return np.repeat(rank_of, network.components)
