@@ -44,10 +44,7 @@ OURS = {
     "continuum": _ours("continuum"),
     "ensemble": _ours(
         "ensemble",
-        ensemble="figures",
-        statistics="figures_statistics",
-        transport="figures_transport",
-        diffusion="figures_transport",
+        **dict.fromkeys(("ensemble", "statistics", "transport", "diffusion"), "figures"),
     ),
     "green": _ours("green"),
     "modes": _ours(

@@ -76,6 +76,8 @@ SMALL = "-lattice_shape 4,3"
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (f"response {SMALL} -detectors 2,1 -bonds_law constant -sweep_omega .3 -lattice_damping .1",
+         "response of a 4 x 3 lattice, bonds all 0.25, beta 0.1, omega_mx 1, "),
         (f"modes {SMALL} -bonds_law bimodal -bonds_kmax 1",
          "modes of a 4 x 3 lattice, bonds 1 with probability 0.5, else 0, seed 1993, "
          "beta 0.003, omega_mx 2, "),

@@ -28,7 +28,7 @@ def test_captions_say_the_numbers_of_the_record():
     good = ~np.isin(np.arange(260), [7, 9])
     largest = captions.number((shown.error_bound / shown.amplitude)[good].max())
     made = figures.make(result)
-    everywhere = [r"$4 \times 3$ balls", "of mass 0.25", "uniform on [0, 0.25]; seed 1993",
+    everywhere = [r"a 4 $\times$ 3 lattice", "of mass 0.25", "uniform on [0, 0.25]; seed 1993",
                   r"$\beta$ = 0.003", r"$\omega_{mx}$ = 2", "heard at ball (1, 1)"]  # fmt: skip
     of_curves = [largest, "at the floor: 1 amplitude.", "1 of 260 amplitudes missed"]
     for name, figure in made.items():
@@ -39,7 +39,7 @@ def test_captions_say_the_numbers_of_the_record():
     si = SI(time=1e-5)
     assert si.say("Hz", result.medium.omega_mx) in figures.make(result, si)["phase"].caption
     del result.options
-    assert result.medium.bonds_sha256[:12] in captions.sample(result, SI())
+    assert result.medium.bonds_sha256[:12] in "; ".join(captions.sample(result, SI()))
 
 
 def modes(**changed):
@@ -72,7 +72,7 @@ def test_captions_of_networks():
     shown.options = "-network_file mine.h5"
     made = figures.make(shown)
     assert "dots" not in made["network"].caption  # nobody listens
-    for part in ("(file mine.h5)", f"{len(net.bond)} contacts", "displacements: vector"):
+    for part in ("the network mine.h5", f"{len(net.bond)} contacts", "vectors in 2 dimensions"):
         assert part in made["participation"].caption
 
 
@@ -92,13 +92,13 @@ def test_captions_say_the_law_of_the_bonds(law, said):
     given = {"law": law, "kmin": "0.1", "kmax": "0.25", "fraction": "0.3", "force": "2.0"}
     given |= {"hertz": "4.0", "file": "my.h5", "seed": "7"}
     result.options = "\n".join(f"-bonds_{name} {value}" for name, value in given.items())
-    assert said in captions.sample(result, SI())
+    assert said in "; ".join(captions.sample(result, SI()))
 
 
 def test_captions_say_which_samples_and_detectors():
-    assert "; 10 samples, seeds 1993 to 2002; " in captions.sample(ensemble(), SI())
+    assert "; seeds 1993 to 2002; " in "; ".join(captions.sample(ensemble(), SI()))
     balls = [(x, y) for x in range(4) for y in range(2)]
-    assert "(2, 1) and 2 more" in captions.sample(respond([0.5], balls), SI())
+    assert "(2, 1) and 2 more" in "; ".join(captions.sample(respond([0.5], balls), SI()))
 
 
 def test_the_command_has_a_width_and_captions(monkeypatch, tmp_path, capsys):

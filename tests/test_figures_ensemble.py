@@ -15,7 +15,8 @@ import pgran
 from pgran.draw import pages as figures
 from pgran.errors import FileError
 from pgran.experiments.ensemble import figures as ensemble
-from pgran.experiments.ensemble import figures_statistics as statistics
+
+statistics = ensemble
 from pgran.medium.base import record_of
 
 LATTICE = {"shape": (5, 4), "mass": 0.25}

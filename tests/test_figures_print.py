@@ -33,7 +33,7 @@ from pgran.draw import pages as figures
 from pgran.draw.captions import formulas
 from pgran.draw.marks import points as errorbars
 from pgran.experiments.accuracy import figures as accuracy
-from pgran.experiments.ensemble import figures_transport as transport
+from pgran.experiments.ensemble import figures as transport
 from pgran.experiments.modes import figures as modes
 from pgran.experiments.response import figures as response
 from pgran.medium.crystals import crystal

@@ -12,7 +12,6 @@ from pgran.draw import balls, style
 from pgran.draw import pages as figures
 from pgran.errors import FileError
 from pgran.experiments.pulse import figures as pulse
-from pgran.experiments.pulse import transfer
 
 
 @pytest.mark.parametrize("method", ["laplace", "integrate"])
@@ -117,7 +116,7 @@ def test_the_spectrum_of_a_signal_that_has_ended_is_the_steady_response(shape):
     lattice = random_lattice((4, 3), seed=5, mass=0.25, damping=0.1)
     sent = {"shape": shape, "width": 3.0, "omega": 0.6 * UNIT, "method": "laplace"}
     shown = listen([(1, 1)], lattice, error_tolerance=1e-7, **sent).pulse
-    omega, size, good = transfer.ratio(shown, 0)
+    omega, size, good = pulse.ratio(shown, 0)
     good = np.flatnonzero(good)[1::3]  # omega = 0 is no driving frequency
     response = respond(omega[good] / UNIT, lattice=lattice).response
     assert len(good) > 33
@@ -127,8 +126,8 @@ def test_the_spectrum_of_a_signal_that_has_ended_is_the_steady_response(shape):
 def test_spectra_and_what_is_left_of_their_signals():
     result = listen([(1, 1), (3, 0)])
     shown = result.pulse
-    omega, size, good = transfer.ratio(shown, 1)
-    ax = draw(transfer.spectrum, shown, result.lattice, 1)
+    omega, size, good = pulse.ratio(shown, 1)
+    ax = draw(pulse.spectrum, shown, result.lattice, 1)
     (curve,), speed = curves(ax), np.abs(shown.velocity[:, 1])
     assert curve.get_xdata() == pytest.approx(omega / UNIT)
     assert gaps(curve) == list(np.flatnonzero(~good))
@@ -136,7 +135,7 @@ def test_spectra_and_what_is_left_of_their_signals():
     title = f"ball (3, 0), depth 1; {100 * speed[601:].max() / speed.max():.3g} % left"
     assert ax.get_title(loc="center") == title
     shown.error[0, 1] = np.inf
-    assert not draw(transfer.spectrum, shown, result.lattice, 1).yaxis.get_visible()
+    assert not draw(pulse.spectrum, shown, result.lattice, 1).yaxis.get_visible()
 
 
 @pytest.mark.parametrize("omega", [0.6, 1.0, 1.7])
@@ -146,8 +145,8 @@ def test_what_may_be_nothing_but_error_has_no_spectrum(omega):
     swing = np.cos(omega * shown.time)[:, None]
     for worst in (swing, np.sign(swing), np.ones_like(swing), shown.time[:, None] > 180):
         error = shown.error * worst
-        assert not transfer.ratio(replace(shown, displacement=error), 0)[2].any()
-    assert transfer.ratio(replace(shown, displacement=3 * shown.error * swing), 0)[2].any()
+        assert not pulse.ratio(replace(shown, displacement=error), 0)[2].any()
+    assert pulse.ratio(replace(shown, displacement=3 * shown.error * swing), 0)[2].any()
 
 
 def test_a_steady_response_is_laid_over_the_detectors_that_it_shares():

@@ -2,8 +2,7 @@
 
 import math
 
-from pgran.medium.law import IN_WORDS, PARAMETERS
-from pgran.store.estimate import counted
+from pgran.medium import labels
 from pgran.store.si import SI
 
 # Of the entries that nested dissection predicts, a factor has this part: 1.2 of them for a chain,
@@ -16,39 +15,15 @@ ENTRY_BYTES, NONZERO_BYTES, NETWORK_BYTES, VECTOR_BYTES, UNEVEN = 28, 90, 250, 4
 
 def facts_of(options, medium):
     """Yield in words what a run's medium is; of an ensemble it is the first sample."""
-    yield from (_lattice if options.network_file is None else _network)(options, medium)
-    yield from medium.drive_in_words()
+    seeds = ()
+    if options.scene == "ensemble":
+        files, first = options.network_file, options.bonds_seed
+        seeds = range(first, first + (len(files) if files else options.ensemble_samples))
+    for fact in labels.sample(medium, labels.facts_of(options.text()), seeds):
+        yield fact.replace("$", "")
     if getattr(options, f"{options.scene}_of", None) != "modes":  # samples keep no widths of theirs
         yield medium.law_in_words
     yield f"omega_mx {medium.omega_mx:.6g}{SI.of(options).say('Hz', medium.omega_mx)}"
-
-
-def _network(options, network):
-    """Yield the facts of a network that was read."""
-    first, *others = options.network_file
-    yield f"{len(others) + 1} networks; {first}" if others else f"the network {first}"
-    loose = " without rattlers" * (options.network_rattlers == "remove")
-    balls, contacts = counted(len(network.free), "free ball"), counted(network.bonds, "contact")
-    yield f"{balls}{loose}, {contacts}"
-    moves = {"scalar": "scalar displacements", "vector": "vectors", "rotations": "rotations"}
-    where = "" if network.displacement == "scalar" else f" in {network.axes} dimensions"
-    yield moves[network.displacement] + where
-
-
-def _lattice(options, lattice):
-    """Yield the facts of a lattice, or of many."""
-    size, first = " x ".join(map(str, lattice.shape)), options.bonds_seed
-    values = {name: getattr(options, f"bonds_{name}") for name in (*PARAMETERS, "file")}
-    values |= {name: f"{value:g}" for name, value in values.items() if isinstance(value, float)}
-    bonds = "bonds " + IN_WORDS[options.bonds_law].format(**values).replace("$", "")
-    if options.scene == "ensemble":
-        samples = options.ensemble_samples
-        yield from (f"{samples} lattices of {size}", bonds)
-        yield f"seeds {first} to {first + samples - 1}"
-    else:
-        yield from (f"a {size} lattice", bonds)
-        if options.bonds_law != "file":
-            yield f"seed {first}"
 
 
 def dissection(shape):

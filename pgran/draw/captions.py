@@ -9,13 +9,19 @@ import re
 import numpy as np
 
 from pgran import catalogue
-from pgran.draw import marks, scales, style
-from pgran.medium.labels import facts_of
+from pgran.draw import marks, scales
+from pgran.medium import labels
 from pgran.store.estimate import counted
+from pgran.store.record import ball_names
 
 SAMPLES = "bonds", "network"  # figures that show what was computed on
 NAMED = 6  # detectors
-AXES = {1: "chain", 2: "square lattice", 3: "cubic lattice"}
+FORMULAS = {  # patterns, and what stands for them
+    r"\b(alpha|beta|eta) (= )?": r"$\\\1$ = ",
+    r"\bp (= )?(?=\d)": "$p$ = ",
+    r"\bomega_mx ": r"$\\omega_{mx}$ = ",
+    r"(?<=\d) x (?=\d)": r" $\\times$ ",
+}
 
 
 def number(value, digits=2):
@@ -29,9 +35,8 @@ def number(value, digits=2):
 
 def formulas(text):
     """Return words with their letters, products of numbers and powers of ten as formulas."""
-    text = re.sub(r"\b(alpha|beta|eta) =", r"$\\\1$ =", text)
-    text = re.sub(r"\bp =", "$p$ =", text)
-    text = re.sub(r"(?<=\d) x (?=\d)", r" $\\times$ ", text)
+    for pattern, formula in FORMULAS.items():
+        text = re.sub(pattern, formula, text)
     return re.sub(r"\b\d(\.\d+)?e[+-]\d+\b", lambda found: number(float(found[0]), 6), text)
 
 
@@ -40,60 +45,47 @@ def complete(figure, results, si, sampled=False):
 
     A figure of the sample itself (`sampled`) has no error; `si` are the program's units.
     """
-    facts = [sample(result, si).split("; ") for result in results]
+    facts = [sample(result, si) for result in results]
     if len(set(map(len, facts))) == 1:  # each fact once, and in what it differs
         facts = [[" or ".join(dict.fromkeys(alike)) for alike in zip(*facts, strict=True)]]
-    samples = [f"Sample: {'; '.join(told)}." if any(told) else "" for told in facts]
+    samples = [f"Sample: {'; '.join(told)}." if told else "" for told in facts]
     reached = [] if sampled else dict.fromkeys(bound(result) for result in results)
     return " ".join(filter(None, [figure.caption, *samples, *reached]))
 
 
 def sample(result, si):
-    """Return what was computed on: size, law and seed of bonds or the network's file, damping."""
+    """Return the facts of what was computed on: of `labels.sample`, mass, damping, detectors."""
     medium = getattr(result, "medium", None)
     if medium is None:
-        return ""  # the box says what it is
-    options = facts_of(result)
-    if medium.group == "network":
-        facts = [f"network of {len(medium.held)} balls, {medium.free_balls} of them free, and "
-                 f"{len(medium.bond)} contacts"]  # fmt: skip
-        if "network_file" in options:
-            facts[0] += f" (file {options['network_file']})"
-        facts[0] += f", displacements: {medium.displacement}"
-    else:
-        count = r" \times ".join(map(str, medium.shape))
+        return []  # the box says what it is
+    options, ensemble = getattr(result, "options", ""), getattr(result, "ensemble", None)
+    seeds = () if ensemble is None else ensemble.seed
+    facts = [*labels.sample(medium.built, labels.facts_of(options), seeds)]
+    if medium.group == "lattice":
         driven = ", one of which is driven" * bool(np.any(medium.built.wall_motion))
-        facts = [f"{AXES[len(medium.shape)]} of ${count}$ balls of mass {number(medium.mass)} "
-                 f"between walls{driven}"]  # fmt: skip
-        if "bonds_law" in options:
-            facts.append(formulas(f"bonds {options['bonds_law']}"))
-    facts += medium.built.drive_in_words()
-    ensemble = getattr(result, "ensemble", None)
-    if ensemble is not None:
-        seeds = ensemble.seed
-        facts.append(f"{len(seeds)} samples, seeds {seeds.min()} to {seeds.max()}")
-    elif "bonds_seed" in options:
-        facts.append(f"seed {options['bonds_seed']}")
-    else:
+        facts.insert(1, f"balls of mass {number(medium.mass)} between walls{driven}")
+    if not any(fact.startswith("seed") for fact in facts):
         facts.append(f"SHA-256 of the bonds {medium.bonds_sha256[:12]}")
-    damping = [
-        f"{name} = {number(low)}" + (f" to {number(high)}" if high > low else "")
-        for name, (low, high) in medium.built.damping_facts.items()
-    ]
-    facts.append(formulas(f"damping {', '.join(damping)}"))
-    unit = f"{number(medium.omega_mx, 4)}{si.say('Hz', medium.omega_mx)}"
-    facts.append(rf"$\omega_{{mx}}$ = {unit}")
-    sites = style.heard(result)
+    unit = f"{medium.omega_mx:.4g}{si.say('Hz', medium.omega_mx)}"
+    facts += [medium.built.law_in_words, f"omega_mx {unit}"]
+    sites = heard(result)
     if sites is not None:
-        names = style.ball_names(sites)
+        names = ball_names(sites)
         more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
         facts.append(f"heard at {', '.join(names[:NAMED])}{more}")
-    return "; ".join(facts)
+    return list(map(formulas, facts))
+
+
+def heard(result):
+    """Return the detectors of a result, shape (nd, dim), None if it has none."""
+    records = (getattr(result, group, None) for group in catalogue.RECORDS)
+    sites = (getattr(record, "detector", None) for record in records)
+    return next((each for each in sites if each is not None), None)
 
 
 def by_depth(medium, sites, between=", "):
     """Return the order of balls by their distance from what drives, and all their names with it."""
-    depths, names = medium.built.depths(sites), style.ball_names(sites)
+    depths, names = medium.built.depths(sites), ball_names(sites)
     factor, unit = scales.unit_of(scales.DISTANCE._replace(own=""), medium, depths.max())
     if np.isfinite(depths).all():
         words = [f"{between}depth {factor * depth:.3g} {unit}".rstrip() for depth in depths]
@@ -110,7 +102,7 @@ def bound(result):
         record = getattr(result, group, None)
         errors = record and getattr(catalogue.figures(group), "errors", None)
         words += [errors(record, how)] if errors else []
-    return " ".join(dict.fromkeys(words))
+    return " ".join(filter(None, dict.fromkeys(words)))
 
 
 def amplitudes(record, how):

@@ -5,7 +5,7 @@ from itertools import cycle
 import numpy as np
 from matplotlib.markers import TICKUP
 
-from pgran.draw import style
+from pgran.draw import scales, style
 
 RUG = 1.0  # points on paper that modes are apart at least to be marked one by one
 
@@ -36,6 +36,18 @@ def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
         label = None
     if not np.isfinite(ax.dataLim.height):
         ax.yaxis.set_visible(False)
+    return drawn
+
+
+def over_frequency(
+    ax, record, medium, values, good, labels=None, limit=None, within=(-np.inf, np.inf), **line
+):
+    """Draw `curves` of a record over its driving frequencies, and mark those that failed."""
+    x, reached = record.omega / medium.omega_mx, record.converged_reason > 0
+    scales.frequencies(ax, x, within=within)
+    good = np.reshape(good, (len(x), -1)) & reached[:, None]
+    drawn = curves(ax, x, values, good, labels, limit, **line)
+    failed(ax, x[~reached])
     return drawn
 
 

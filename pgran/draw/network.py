@@ -22,7 +22,7 @@ def figures(result, **_):
     if not result.network.has_places:
         log.warning("the network has no positions: neither it nor a motion of it is drawn")
         return
-    sites = style.heard(result)
+    sites = captions.heard(result)
     yield "network", page(result.network, [] if sites is None else sites[:, 0])
 
 

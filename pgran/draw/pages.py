@@ -20,8 +20,8 @@ def make(result, si=None, width=None, **over):
     groups = [group for group in sorted(catalogue.FIGURES) if hasattr(result, group)]
     made, si = {}, si or SI.of(result)
     with _style([result], width, si):
-        for group in groups:
-            made |= dict(catalogue.figures(group).figures(result, **over))
+        for module in dict.fromkeys(map(catalogue.figures, groups)):  # some draw several groups
+            made |= dict(module.figures(result, **over))
         if not made:
             raise FileError(f"nothing to draw in this result (scene {result.scene})")
         return _finished(made, [result], si)

@@ -64,16 +64,6 @@ def frequency(x, medium, digits=4):
     return said(x, medium, IN_WORDS, digits)
 
 
-def time(x, medium):
-    """Return a time in words, which is `x` in units of 1 / omega_mx."""
-    return said(x, medium, TIME_IN_WORDS)
-
-
-def length(x, medium):
-    """Return a length of a network in words."""
-    return said(x, medium, PLACES[0], 3)
-
-
 def label(axis, quantity):
     """Name an axis by what it shows, which `in_si` finds on it."""
     axis.quantity = quantity

@@ -1,9 +1,9 @@
-"""One style for all figures, and the pages, legends and words that several of them share."""
+"""One style for all figures, and pages of panels with their legends, captions and notes."""
 
 import contextlib
+import inspect
 import textwrap
 from contextvars import ContextVar
-from itertools import product
 
 import matplotlib
 import numpy as np
@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.transforms import offset_copy
 
-from pgran import catalogue
 from pgran.errors import FileError
 from pgran.store.record import ball_names as ball_names
 from pgran.store.si import SI
@@ -23,7 +22,7 @@ UNIT = "omega_mx"  # how the line that marks it is found
 FEW, HANDFUL = 100, 10  # points that are marked by dots, and that make no curve
 LETTERS = 15  # to an inch
 COLUMNS = 6  # of a legend
-LETTERED, BESIDE = 0.25, 0.5  # inches that (a) needs before a title; left of it, and after it
+LINE, LETTERED = 1 / 6, 0.25  # inches: of a line of text, and what (a) needs before a title
 # from -1 to 1: negative numbers are the darker ones in grey
 SIGNED = ["#041c4a", "#1f5fa8", "#8fc1e0", "#ffffff", "#fcb398", "#ee6a4a", "#d7301f"]
 SIGNED = LinearSegmentedColormap.from_list("signed", SIGNED).with_extremes(bad="#e4e4e4")
@@ -63,8 +62,7 @@ _asked = ContextVar("width and units", default=(None, None))
 def applied(width=None, si=None):
     """Make this style hold for a while, whatever the user's matplotlibrc says.
 
-    `width`: of all pages, in mm, instead of their own. `si`: units of numbers in words, as axes
-    will have by `scales.in_si`, instead of the program's.
+    `width`: of all pages, in mm, instead of their own. `si`: units of axes and of numbers in words.
     """
     before = _asked.set((width and width * MM, si))
     try:
@@ -87,7 +85,7 @@ def units():
 
 
 class Page(Figure):
-    """A figure that is drawn in this style whenever it is drawn; it needs no window.
+    """A figure without a window, which is drawn in this style whenever it is drawn.
 
     Its `caption` says in words what its `panels` show, its `heading` is the lines above them.
     """
@@ -114,16 +112,15 @@ def page(width, height, **panels):
     return figure, figure.panels
 
 
-def single(draw, captions, width=COLUMN, height=2.3, **shown):
+def single(draw, caption=None, width=COLUMN, height=2.3, **shown):
     """Return the page of one panel; see `stack`."""
-    return stack([draw], captions, width, height, **shown)
+    return stack([draw], caption, width, height, **shown)
 
 
-def stack(draws, captions, width=COLUMN, height=2.1, shared=False, **shown):
+def stack(draws, caption=None, width=COLUMN, height=2.1, shared=False, **shown):
     """Return a page of panels below each other, each as high as said, with its legend above.
 
-    A panel is `draw(ax, **shown)`; captions are a text, or one a panel, or by the panels' names.
-    `shared`: they have one axis of x and one legend.
+    A panel is `draw(ax, **shown)`. `shared`: they have one axis of x and one legend.
     """
     figure, panels = page(width, height * len(draws), nrows=len(draws))
     for draw, ax in zip(draws, panels, strict=True):
@@ -135,33 +132,109 @@ def stack(draws, captions, width=COLUMN, height=2.1, shared=False, **shown):
     for group in [panels] if shared else [[ax] for ax in panels]:
         legend_above(group)
     figure.align_ylabels()
-    if isinstance(captions, dict):
-        captions = [captions[draw.__name__] for draw in draws]
-    captions = [captions] if isinstance(captions, str) else captions
-    letters = [f"({letter}) " for letter in LETTER] if len(captions) > 1 else [""]
-    figure.caption = " ".join(map("".join, zip(letters, captions, strict=False)))
+    figure.caption = caption or lettered(map(caption_of, draws))
     return figure
 
 
-def grid(count, rows, narrowest, height, **panels):
-    """Return an empty page with panels in columns, the panels row by row, and how many columns.
+def grid(draws, height, rows, narrowest, **shared):
+    """Return a page of panels `draw(ax)` in columns, row by row, and how many columns.
 
     Of more than `rows` panels there is another column, if none is narrower than `narrowest` then,
-    in inches; `height(rows)` is the page's.
+    in inches; `height(rows)` is the page's. A `shared` axis of x has one label a column.
     """
+    count = len(draws)
     columns = min(-(-count // rows), max(1, int(wide(PAGE) / narrowest)))
     rows = -(-count // columns)
-    figure, made = page(PAGE, height(rows), nrows=rows, ncols=columns, **panels)
+    figure, made = page(PAGE, height(rows), nrows=rows, ncols=columns, **shared)
     for ax in made[count:]:
         ax.remove()
     figure.panels = made[:count]
-    return figure, figure.panels, columns
+    for n, (draw, ax) in enumerate(zip(draws, figure.panels, strict=True)):
+        draw(ax)
+        lowest = not shared or n + columns >= count
+        ax.xaxis.label.set_visible(lowest)
+        ax.tick_params(labelbottom=lowest)
+    return figure, columns
 
 
-def check_any(values, what):
-    """Raise a FileError unless there are values to draw."""
-    if not np.size(values):
-        raise FileError(f"nothing to draw in this result: no {what}")
+def caption_of(panel):
+    """Return the caption of a panel: the first paragraph of its docstring."""
+    function = getattr(panel, "func", panel)  # of a partial one
+    return " ".join(inspect.getdoc(function).partition("\n\n")[0].split())
+
+
+def lettered(texts):
+    """Return the captions of several panels as one, each with its letter."""
+    texts = list(texts)
+    letters = [f"({letter}) " for letter in LETTER] if len(texts) > 1 else [""]
+    return " ".join(letter + text for letter, text in zip(letters, texts, strict=False))
+
+
+def letter(panels):
+    """Put (a), (b) and so on before the titles of several panels."""
+    for name, ax in zip(LETTER, panels if len(panels) > 1 else (), strict=False):
+        ax.set_title(f"({name}) {ax.get_title(loc='left')}".strip())
+
+
+def title(ax, *facts):
+    """Give a panel a title of facts, without those that are empty."""
+    ax.set_title(", ".join(filter(None, facts)))
+
+
+def above(figure, *lines, **look):
+    """Write lines above all panels, under those that are there, as long as the figure is wide."""
+    width = int(LETTERS * figure.get_figwidth())
+    wrapped = [part for line in lines for part in textwrap.wrap(line, width)]
+    wrapped = min(wrapped, textwrap.wrap("; ".join(lines), width), key=len)
+    figure.heading = [*figure.heading, *wrapped]
+    figure.suptitle("\n".join(figure.heading), fontsize="medium", **look)
+    figure.grow(0.14 * len(wrapped))
+
+
+def note(figure, text):
+    """Write above all panels what is wrong with a result."""
+    above(figure, text, color=FAILED)
+
+
+def legend_above(panels):
+    """Put one legend of all panels above the upper right of the first, where no data can be.
+
+    In as many columns as fit, beside the title or else above it. What several curves of a panel
+    have in common comes last, and the dotted line of omega_mx. The figure grows by as much. Of
+    panels beside each other give the last of a row first.
+    """
+    own, common = {}, {}
+    for ax in panels:
+        drawn, labels = ax.get_legend_handles_labels()
+        for handle, label in zip(drawn, labels, strict=True):
+            (common if labels.count(label) > 1 else own).setdefault(label, handle)
+    handles = own | common
+    units = [line for ax in panels for line in ax.get_lines() if line.get_gid() == UNIT]
+    handles |= dict(zip([r"$\omega_{mx}$"], units, strict=False))
+    if not handles:
+        return
+    first, figure = panels[0], panels[0].figure
+    before = getattr(first.get_legend(), "grown", 0.0)
+    beside = first.get_subplotspec().get_gridspec().ncols  # a wider legend would push these apart
+    room = figure.get_figwidth() / beside - 0.5
+    for columns in range(COLUMNS, 0, -1):
+        look = {"ncol": columns, "columnspacing": 1.2, "loc": "lower right"}
+        legend = first.legend(handles.values(), handles, bbox_to_anchor=(1, 1), **look)
+        width, legend.grown = _size(legend)
+        if width <= room:
+            break
+    text = first.set_title(first.get_title(loc="left"), loc="left")
+    title_ends = _size(text)[0] + LETTERED * (len(getattr(figure, "panels", ())) > 1)
+    if title_ends and (beside > 1 or title_ends + width > room):
+        raised = offset_copy(first.transAxes, figure, y=LINE, units="inches")
+        legend.set_bbox_to_anchor((1, 1), raised)
+        legend.grown += LINE
+    figure.grow(legend.grown - before)
+
+
+def _size(artist):
+    """Return width and height of what is drawn, in inches."""
+    return artist.get_window_extent().size / artist.figure.dpi
 
 
 def colours(count):
@@ -176,78 +249,7 @@ def pale(colour):
     return tuple(1 - 0.4 * (1 - part) for part in to_rgb(colour))
 
 
-def heard(result):
-    """Return the detectors of a result, shape (nd, dim), None if it has none."""
-    records = (getattr(result, group, None) for group in catalogue.RECORDS)
-    sites = (getattr(record, "detector", None) for record in records)
-    return next((each for each in sites if each is not None), None)
-
-
-def letter(panels):
-    """Put (a), (b) and so on before the titles of several panels."""
-    for name, ax in zip(LETTER, panels if len(panels) > 1 else (), strict=False):
-        ax.set_title(f"({name}) {ax.get_title(loc='left')}".strip())
-
-
-def above(figure, *lines, **look):
-    """Write lines above all panels, under those that are there, as long as the figure is wide."""
-    width = int(LETTERS * figure.get_figwidth())
-    wrapped = [part for line in lines for part in textwrap.wrap(line, width)]
-    wrapped = min(wrapped, textwrap.wrap("; ".join(lines), width), key=len)
-    figure.heading = [*figure.heading, *wrapped]
-    figure.suptitle("\n".join(figure.heading), fontsize="medium", **look)
-    figure.grow(0.14 * len(wrapped))
-
-
-def legend_above(panels):
-    """Put one legend of all panels above the upper right of the first, where no data can be.
-
-    What several curves of a panel have in common comes last, and the dotted line of omega_mx. It is
-    beside the title if two lines hold it there, else above that, as where another panel is beside
-    (give the last panel of a row first), in as many columns as fit. The figure grows by as much.
-    """
-    handles, shared = {}, {}
-    for ax in panels:
-        drawn, labels = ax.get_legend_handles_labels()
-        for handle, label in zip(drawn, labels, strict=True):
-            (shared if labels.count(label) > 1 else handles).setdefault(label, handle)
-    handles |= shared
-    dotted = (line for ax in panels for line in ax.get_lines() if line.get_gid() == UNIT)
-    handles |= dict(zip([r"$\omega_{mx}$"], dotted, strict=False))
-    if not handles:
-        return
-    first, figure = panels[0], panels[0].figure
-    before = _size(first.get_legend())[1] if first.get_legend() else 0.0
-    beside = first.get_subplotspec().get_gridspec().ncols  # a wider legend would push these apart
-    room, lines_up = figure.get_figwidth() / beside - 0.5, 1.5 * RC["font.size"]
-    places = [(offset_copy(first.transAxes, figure, y=lines_up, units="points"), room)]
-    if beside == 1:
-        title = _size(first.set_title(first.get_title(loc="left"), loc="left"))[0]
-        title += LETTERED * (len(getattr(figure, "panels", ())) > 1)
-        places.insert(0, (first.transAxes, room - title - BESIDE * (title > 0)))
-        places = places[: 1 + (title > 0)]
-    for (place, width), columns in product(places, range(COLUMNS, 0, -1)):
-        look = {"loc": "lower right", "bbox_to_anchor": (1, 1), "bbox_transform": place}
-        legend = first.legend(handles.values(), handles, ncol=columns, columnspacing=1.2, **look)
-        last = place is places[-1][0]
-        if _size(legend)[0] <= width and (last or len(handles) <= 2 * columns):
-            break
-    figure.grow(_size(legend)[1] - before)
-
-
-def _size(artist):
-    """Return width and height of what is drawn, in inches."""
-    return artist.get_window_extent().size / artist.figure.dpi
-
-
-def note(figure, text):
-    """Write above all panels what is wrong with a result."""
-    above(figure, text, color=FAILED)
-
-
-def note_missing(figure, record):
-    """Say in a figure if modes are missing or inaccurate, in a record of modes or on modes."""
-    if record.count_found != record.count_expected:
-        note(figure, f"NOT ALL MODES: {record.count_found} of {record.count_expected} found")
-    elif not record.count_certified:
-        note(figure, "NOT CERTIFIED: some modes are inaccurate")
+def check_any(values, what):
+    """Raise a FileError unless there are values to draw."""
+    if not np.size(values):
+        raise FileError(f"nothing to draw in this result: no {what}")

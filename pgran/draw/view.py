@@ -52,7 +52,7 @@ class View:
             middle = (place.min(axis=0) + place.max(axis=0)) / 2
             ball = np.linalg.norm(place - middle, axis=1).argmin() if ball is None else ball
             depth = place[:, across] - place[ball, across]
-            where = scales.length(place[ball, across], network)
+            where = scales.said(place[ball, across], network, scales.PLACES[0], 3)
             self.plane = f"plane ${'xyz'[across]}$ = {where}"
         near = radius if sized else np.full(len(place), 0.5 * self.spacing)
         self.seen = np.abs(depth) < near

@@ -1,10 +1,11 @@
-"""Labels of results: the options in which they differ, or else the names of their files."""
+"""What was computed on, in words, and what tells results apart: their options, or their files."""
 
 import logging
 
 from pgran.medium.dissipation import LETTERS
 from pgran.medium.law import IN_WORDS, PARAMETERS
 from pgran.run.options import options_in
+from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")
 
@@ -14,6 +15,33 @@ WORDS = {key: f"{letter} = {{}}" for key, letter in LETTERS.items()}
 WORDS |= {"lattice_shape": "{} balls", "network_file": "network {}", "bonds_law": "bonds {}"}
 WORDS |= {"sweep_points": "{} points", "network_damping": WORDS["lattice_damping"]}
 WORDS |= {"drive_part": "driven at {}", "drive_balls": "force on {}", "bonds_redrawn": "{} redrawn"}
+MOVES = {"scalar": "scalar displacements", "vector": "vectors", "rotations": "rotations"}
+
+
+def sample(medium, facts, seeds=()):
+    """Yield in words what was computed on: the medium, its bonds, their seed, and what drives it.
+
+    `facts` are its options (`facts_of`), `seeds` those of the samples of an ensemble.
+    """
+    several = len(seeds)
+    if medium.is_grid:
+        size = " x ".join(map(str, medium.shape))
+        yield f"{several} lattices of {size}" if several else f"a {size} lattice"
+        if "bonds_law" in facts:
+            yield f"bonds {facts['bonds_law']}"
+        if several:
+            yield f"seeds {seeds[0]} to {seeds[-1]}"
+        elif "bonds_seed" in facts:
+            yield f"seed {facts['bonds_seed']}"
+    else:
+        file = facts.get("network_file", "").partition(",")[0]
+        yield f"{several} networks; {file}" if several else f"the network {file}".rstrip()
+        loose = " without rattlers" * (facts.get("network_rattlers") == "remove")
+        yield counted(medium.free_balls, "free ball") + loose
+        yield counted(medium.bonds, "contact")
+        where = "" if medium.displacement == "scalar" else f" in {medium.axes} dimensions"
+        yield MOVES[medium.displacement] + where
+    yield from medium.drive_in_words()
 
 
 def labels_of(results, names):
@@ -22,7 +50,7 @@ def labels_of(results, names):
     How a run was carried out, and what it stored, is no difference, nor at which frequencies, which
     curves show, unless nothing else is.
     """
-    facts = [facts_of(result) for result in results]
+    facts = [facts_of(getattr(result, "options", "")) for result in results]
     keys = dict.fromkeys(key for each in facts for key in each)
     differ = [key for key in keys if len({each.get(key) for each in facts}) > 1]
     labels = [_label(differ, each) for each in facts]
@@ -38,13 +66,13 @@ def labels_of(results, names):
     return told
 
 
-def facts_of(result):
-    """Return the options of a result by key, numbers as one writes them, its law of bonds in words.
+def facts_of(options):
+    """Return options by key, numbers as one writes them, and the law of bonds in words.
 
-    The parameters of that law are in its words alone, and a seed is there if it draws anything.
+    `options` is the text that a result has of them. The parameters of the law are in its words
+    alone, and a seed is there if it draws anything.
     """
-    options = options_in(str(getattr(result, "options", "")))
-    facts = {key: _plain(text) for key, text in options.items()}
+    facts = {key: _plain(text) for key, text in options_in(str(options)).items()}
     if "lattice_shape" in facts:
         facts["lattice_shape"] = facts["lattice_shape"].replace(",", " x ")
     bonds = {key[6:]: value for key, value in facts.items() if key.startswith("bonds_")}

@@ -2,9 +2,8 @@
 
 import numpy as np
 from matplotlib.colors import to_rgb
-from matplotlib.ticker import LogLocator, NullFormatter
 
-from pgran.draw import captions, style
+from pgran.draw import captions, scales, style
 from pgran.store.estimate import counted
 
 ALIKE = 10  # errors that differ by less are one line: run times are what is to be seen
@@ -37,7 +36,7 @@ def errors(record, _):
 
 
 def times(ax, accuracy):
-    """Draw run times as bars, ranges as lines, hollow if some failed; return the bars."""
+    """Draw run times as bars, ranges as lines, hollow if some failed."""
     rows = np.flatnonzero(np.isfinite(accuracy.error_max))
     rows = rows[np.argsort(accuracy.seconds[rows], kind="stable")]
     seconds, place = accuracy.seconds[rows], np.arange(len(rows))
@@ -51,7 +50,7 @@ def times(ax, accuracy):
     ax.invert_yaxis()
     largest = captions.number(accuracy.error_max[rows].max())
     text = f"run time (s), median of {accuracy.repeats}"
-    text += "; hollow: some failed" if failed.any() else ""
+    text += "; hollow: some failed" * bool(failed.any())
     text += f"\nrelative errors at most {largest}"
     ax.set(xlabel=text, xlim=(0, 1.02 * ends[1].max()))
     return drawn
@@ -81,11 +80,7 @@ def front(ax, accuracy):
     low, high = ax.get_ylim()
     ax.set_ylim(low / 2, max(high, 1000 * low))
     _staircase(ax, accuracy)
-    low, high = ax.get_xlim()
-    if high < 1000 * low:  # else powers of ten are enough
-        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    ax.xaxis.set_major_formatter("{x:g}")
-    ax.xaxis.set_minor_formatter(NullFormatter())
+    scales.convert(ax.xaxis, 1.0)  # with seconds, not their powers of ten, beside it
     return lines
 
 

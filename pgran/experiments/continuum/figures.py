@@ -13,27 +13,24 @@ def figures(result, **_):
     (x, y), (lx, ly) = box.point, box.size
     numbers = captions.formulas(
         rf"$x$ = {x:g}, $y$ = {y:g}, $L_x$ = {lx:g}, $L_y$ = {ly:g}, "
-        rf"$K_0$ = {box.stiffness:g}, $m$ = {box.mass:g}, $\beta$ = {box.damping:g}"
+        rf"$K_0$ = {box.stiffness:g}, $m$ = {box.mass:g}, beta {box.damping:g}"
     )
-    end = "." if box.damping else ", where the amplitude is infinite: peaks end where points lie."
-    texts = [
-        f"The homogeneous box, {numbers}: amplitude at the point relative to the driven wall, "
-        f"against the driving frequency, by the exact series; ticks: resonances{end}",
-        "Its phase.",
-    ]
-    figure = style.stack([amplitude, phase], texts, style.PAGE, shared=True, continuum=box)
+    figure = style.stack([amplitude, phase], None, style.PAGE, shared=True, continuum=box)
+    figure.caption += f" Here {numbers}." + " Undamped peaks are infinite." * (not box.damping)
     style.above(figure, numbers)
     yield "exactpl", figure
 
 
 def amplitude(ax, continuum):
-    """Draw the amplitude, gaps where it is zero, and driven resonances (paper: exactpl)."""
+    """Amplitude at a point of the homogeneous box relative to the driven wall, against the driving
+    frequency, by the exact series; ticks: driven resonances.
+    """
     ax.set(yscale="log", ylabel=scales.AMPLITUDE)
     return _curve(ax, continuum, continuum.amplitude)
 
 
 def phase(ax, continuum):
-    """Draw the phase, without damping 0 or pi, and driven resonances (paper: exactpl)."""
+    r"""Its phase, without damping 0 or $\pi$."""
     ax.set_ylabel(scales.PHASE)
     if continuum.damping > 0:
         return _curve(ax, continuum, continuum.phase)

@@ -1,10 +1,13 @@
-"""The figures of an ensemble: curves with their band, histograms of numbers, densities of modes."""
+"""The figures of an ensemble: curves with their band, histograms of numbers, densities of modes;
+of its responses noise beside the Gaussian laws, and transport: what falls with depth, and how.
+"""
 
 import math
+from functools import partial
 
 import numpy as np
 
-from pgran.draw import captions, scales, style
+from pgran.draw import captions, marks, scales, style
 from pgran.draw.scales import Quantity
 from pgran.experiments.ensemble.record import ABOVE_FLOOR, measures
 from pgran.experiments.modes import figures as modes
@@ -12,38 +15,51 @@ from pgran.store.estimate import counted
 
 # Numbers of a sample, by their names in the record, which declares how they are called.
 NUMBERS = {name: Quantity(*measure.quantity) for name, measure in measures().items()}
-CAPTIONS = {
-    "amplitude": "Amplitude against the driving frequency over samples: the band of 80 % of them, "
-    "their median, and the coherent part $|\\langle A\\rangle|$, where it is more than the mean of "
-    "so many samples has by chance, less that.",
-    "delay": "Group delay against the driving frequency over samples: the band of 80 % of them, "
-    "and their median; the axis is linear up to a power of ten next to the median, logarithmic "
-    "beyond.",
-    "density": "Density of the normal modes of a sample per ball and $\\omega_{mx}$, with its "
-    "standard error.",
-    "widths": r"Density of $\log_{10}\Gamma$ over all modes of samples that ring; filled: those in "
-    "which fewer than 5 % of the balls take part.",
-    "participation": "Participation ratio of the normal modes against their frequency: the band of "
-    "80 % of them, and their median.",
-}
 SINGLE = " Thin lines: single samples; dots: where lines from point to point are not their curve."
 BAND, BINS = "#C8C8C8", 30
 COARSE = 0.1  # of an amplitude, that such a line may be wrong
 ROWS, NARROWEST = 5, 3.0  # of curves, before there is another column; inches of one
+NAMES = {"whole": "computed", "incoherent": r"less $\langle A\rangle$"}  # parts of a noisy response
+WIDTHS = 6  # half widths up to which correlations are drawn
+LAW = {"color": "#777777", "linewidth": 1.2}
+LOOK = {"markersize": 2.5, "elinewidth": 0.6, "fillstyle": "none", "markeredgewidth": 0.6}
+SHOWN = 4  # frequencies, depths or times of transport
+FALLS = {  # what amplitudes fall with, and how many times their lengths are drawn
+    "length": ("typical", 1),
+    "intensity_length": ("root mean square", 2),
+    "scattering_length": ("coherent", 2),
+}
 
 
 def figures(result, **_):
-    """Yield what there is: bands of curves, densities of modes, and histograms of numbers."""
-    found = result.ensemble
-    style.check_any(found.seed[found.good > 0], "sample that is as accurate as asked")
-    for name, figure in _pages(found, result.medium):
-        if found.left_out:
-            style.note(figure, f"left out: {found.left_out} of {len(found.seed)} samples")
-        yield name, figure
+    """Yield what there is: curves, densities of modes, histograms; noise; transport, diffusion."""
+    medium = result.medium
+    if hasattr(result, "ensemble"):
+        found = result.ensemble
+        style.check_any(found.seed[found.good > 0], "sample that is as accurate as asked")
+        for name, figure in _samples(found, medium):
+            if found.left_out:
+                style.note(figure, f"left out: {found.left_out} of {len(found.seed)} samples")
+            yield name, figure
+    if hasattr(result, "statistics"):
+        yield from _noise(result.statistics, medium)
+    if getattr(result, "diffusion", None):
+        yield "diffusion", style.single(decay, found=result.diffusion, lattice=medium)
+    elif hasattr(result, "transport"):
+        yield "transport", _transport(result.transport, medium)
 
 
-def _pages(found, lattice):
-    """Yield the names and the figures."""
+def errors(record, _):
+    """Return how many samples are good."""
+    if record.group != "ensemble":
+        return ""
+    lost = f"; left out: {record.left_out}" if record.left_out else ""
+    good = counted(np.count_nonzero(record.good), "sample")
+    return f"Each of {good} has the accuracy asked for{lost}."
+
+
+def _samples(found, lattice):
+    """Yield curves with their band, densities of modes, and histograms of numbers."""
     curves = {"amplitude": (amplitude, found.ln_amplitude), "delay": (delay, found.delay)}
     for name, (panel, values) in curves.items():
         if found.omega is not None and np.isfinite(values).any():
@@ -51,31 +67,13 @@ def _pages(found, lattice):
     if found.mode_omega is not None and len(np.unique(known(found, "mode_omega"))) > 1:
         several = len(np.unique(found.widths(lattice)[0])) > 1
         for panel in (density, participation, *[widths] * several):
-            yield panel.__name__, style.single(panel, CAPTIONS, found=found, lattice=lattice)
-    for name, quantity in NUMBERS.items():
+            yield panel.__name__, style.single(panel, found=found, lattice=lattice)
+    for name in NUMBERS:
         values = getattr(found, name)
         columns = range(0 if values is None else np.size(values[:1]))
         shown = [d for d in columns if len(np.unique(known(found, name, d))) > 1]
         if shown:
-            figure, panels, _ = style.grid(
-                len(shown), ROWS, NARROWEST, lambda rows: min(2.0 * rows, 5.4 + 0.6 * rows)
-            )
-            for d, ax in zip(shown, panels, strict=True):
-                histogram(ax, found, name, d)
-            what = f"{quantity.name} {quantity.own}".strip()
-            figure.caption = (
-                f"Histogram over samples: {what}; line and band: mean and its standard error."
-            )
-            if any(withheld(found, name, d) for d in shown):
-                figure.caption += " Withheld: samples in which it is not certain."
-            yield name, figure
-
-
-def errors(record, _):
-    """Return how many samples are good."""
-    lost = f"; left out: {record.left_out}" if record.left_out else ""
-    good = counted(np.count_nonzero(record.good), "sample")
-    return f"Each of {good} has the accuracy asked for{lost}."
+            yield name, _histograms(found, name, shown)
 
 
 def known(found, name, detector=None):
@@ -91,8 +89,34 @@ def withheld(found, name, detector=None):
     return np.count_nonzero(found.good) - len(known(found, name, detector))
 
 
+def _curves_page(found, lattice, panel):
+    """Return a figure with a panel a detector."""
+    (order, names), count = captions.by_depth(lattice, found.detector), len(found.detector)
+    draws = [partial(panel, found=found, lattice=lattice, detector=d) for d in order]
+
+    def height(rows):
+        return 0.5 + rows * (2.4 if rows <= 3 else 1.7 if rows <= ROWS else 0.9)
+
+    figure, columns = style.grid(draws, height, ROWS, NARROWEST, sharex=True)
+    named = range(0, count, columns)
+    named = named if len(named) <= ROWS else named[len(named) // 2 :][:1]  # they run together
+    for n, (d, ax) in enumerate(zip(order, figure.panels, strict=True)):
+        ax.set_title(names[d] if count > 1 else "")
+        if n not in named:
+            ax.set_ylabel("")
+    style.legend_above([figure.panels[columns - 1]])
+    single = any("seed" in str(line.get_label()) for line in figure.panels[0].get_lines())
+    figure.caption = style.caption_of(panel) + SINGLE * single
+    return figure
+
+
 def amplitude(ax, found, lattice, detector=0):
-    """Draw the band, the median, some samples, and the `coherent` part; return the median."""
+    r"""Amplitude against the driving frequency over samples: the band of 80 % of them, their
+    median, and the coherent part $|\langle A\rangle|$, where it is more than the mean of so many
+    samples has by chance, less that.
+
+    Some samples are drawn, too, if they are kept.
+    """
     each = None if found.displacement is None else np.abs(found.displacement)
     drawn = _band(ax, found, lattice, np.exp(found.ln_amplitude), each, detector)
     part = coherent(found, detector)
@@ -118,7 +142,9 @@ def coherent(found, detector):
 
 
 def delay(ax, found, lattice, detector=0):
-    """Draw band, median and samples of the group delay, linear up to it; return the median."""
+    """Group delay against the driving frequency over samples: the band of 80 % of them, and their
+    median; the axis is linear up to a power of ten next to the median, logarithmic beyond.
+    """
     values, each = found.delay * lattice.omega_mx, found.sample_delay
     each = None if each is None else each * lattice.omega_mx
     drawn = _band(ax, found, lattice, values, each, detector)
@@ -128,17 +154,6 @@ def delay(ax, found, lattice, detector=0):
     scales.symmetric(ax, values[np.isfinite(values)], threshold)
     scales.label(ax.yaxis, scales.DELAY)
     return drawn
-
-
-def resolved(found, sample, detector):
-    """Return where lines from point to point are right to COARSE of a sample's amplitude, about.
-
-    Without a point the line between its neighbours is four times as wrong as those to them.
-    """
-    x, y = found.omega, found.displacement[sample, :, detector]
-    part = (x[1:-1] - x[:-2]) / (x[2:] - x[:-2])
-    bend = np.abs(y[1:-1] - (1 - part) * y[:-2] - part * y[2:])
-    return np.pad(bend <= 4 * COARSE * np.abs(y[1:-1]), 1, constant_values=True)
 
 
 def _band(ax, found, lattice, values, each, detector):
@@ -158,33 +173,33 @@ def _band(ax, found, lattice, values, each, detector):
     return median
 
 
-def _curves_page(found, lattice, panel):
-    """Return a figure with a panel a detector."""
-    (order, names), count = captions.by_depth(lattice, found.detector), len(found.detector)
-    figure, panels, columns = style.grid(
-        count, ROWS, NARROWEST, sharex=True,
-        height=lambda rows: 0.5 + rows * (2.4 if rows <= 3 else 1.7 if rows <= ROWS else 0.9),
-    )  # fmt: skip
-    named = range(0, count, columns)
-    named = named if len(named) <= ROWS else named[len(named) // 2 :][:1]  # they run together
-    for n, (d, ax) in enumerate(zip(order, panels, strict=True)):
-        panel(ax, found, lattice, d)
-        if count > 1:
-            ax.set_title(names[d])
-        if n + columns < count:  # another stands below
-            ax.set_xlabel("")
-        else:
-            ax.tick_params(labelbottom=True)
-        if n not in named:
-            ax.set_ylabel("")
-    style.legend_above([panels[columns - 1]])
-    single = any("seed" in str(line.get_label()) for line in panels[0].get_lines())
-    figure.caption = CAPTIONS[panel.__name__] + SINGLE * single
+def resolved(found, sample, detector):
+    """Return where lines from point to point are right to COARSE of a sample's amplitude, about.
+
+    Without a point the line between its neighbours is four times as wrong as those to them.
+    """
+    x, y = found.omega, found.displacement[sample, :, detector]
+    part = (x[1:-1] - x[:-2]) / (x[2:] - x[:-2])
+    bend = np.abs(y[1:-1] - (1 - part) * y[:-2] - part * y[2:])
+    return np.pad(bend <= 4 * COARSE * np.abs(y[1:-1]), 1, constant_values=True)
+
+
+def _histograms(found, name, shown):
+    """Return a figure of histograms of a number, a panel each detector that is shown."""
+    draws = [partial(histogram, found=found, name=name, detector=d) for d in shown]
+    figure, _ = style.grid(draws, lambda rows: min(2.0 * rows, 5.4 + 0.6 * rows), ROWS, NARROWEST)
+    what = f"{NUMBERS[name].name} {NUMBERS[name].own}".strip()
+    figure.caption = style.caption_of(histogram).replace("a number", what)
+    if any(withheld(found, name, d) for d in shown):
+        figure.caption += " Withheld: samples in which it is not certain."
     return figure
 
 
 def histogram(ax, found, name, detector=0):
-    """Draw the histogram of a number (of NUMBERS), its mean and error; return the outline."""
+    """Histogram over samples of a number; line and band: mean and its standard error.
+
+    It has its `name` of NUMBERS.
+    """
     values, quantity = known(found, name, detector), NUMBERS[name]
     whole = np.all(values == np.round(values)) and np.ptp(values) <= BINS
     bins = np.arange(values.min() - 0.5, values.max() + 1) if whole else _bins(values)
@@ -216,7 +231,7 @@ def _bins(values):
 
 
 def density(ax, found, lattice):
-    """Draw the density of modes a sample, with its standard error; return the outline."""
+    r"""Density of the modes of a sample per ball and $\omega_{mx}$, with its standard error."""
     x = found.mode_omega[found.good > 0] / lattice.omega_mx
     edges = modes.bin_edges(x)
     each = np.array([np.histogram(row, edges)[0] for row in x])
@@ -230,7 +245,9 @@ def density(ax, found, lattice):
 
 
 def widths(ax, found, lattice):
-    """Draw the density of log widths, filled that of localized modes; return the outline."""
+    r"""Density of $\log_{10}\Gamma$ over all modes of samples that ring; filled: those in which
+    fewer than 5 % of the balls take part.
+    """
     width, localized = found.widths(lattice)
     x = np.log10(width / lattice.omega_mx)
     edges = np.linspace(x.min(), x.max(), 2 * BINS + 1)
@@ -245,7 +262,9 @@ def widths(ax, found, lattice):
 
 
 def participation(ax, found, lattice):
-    """Draw participation ratios against frequency, band and median in bins; return the median."""
+    """Participation ratio of the normal modes against their frequency: the band of 80 % of them,
+    and their median.
+    """
     x, values = known(found, "mode_omega") / lattice.omega_mx, known(found, "participation")
     edges = modes.bin_edges(x)
     bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
@@ -257,3 +276,153 @@ def participation(ax, found, lattice):
     median = ax.stairs(middle, edges, baseline=None, color="black", label="median")
     modes.participation_axes(ax, edges, lattice)
     return median
+
+
+def _noise(found, medium):
+    """Yield densities, and correlations in known half widths, a panel a window and detector."""
+
+    def titled(ax, panel, window, detector):
+        panel(ax, found, window, detector)
+        ends = found.low[window], found.high[window]
+        low, high = (scales.frequency(end / medium.omega_mx, medium) for end in ends)
+        ax.set_title(f"{low} to {high}, {style.ball_names(found.detector)[detector]}")
+
+    everywhere = list(np.ndindex(found.coherent_part.shape))
+    scaled = [place for place in everywhere if np.isfinite(found.half_width[place]).any()]
+    for panel, places in ((intensity, everywhere), (correlation, scaled)):
+        if places:
+            draws = [partial(titled, panel=panel, window=w, detector=d) for w, d in places]
+            yield panel.__name__, style.stack(draws, style.caption_of(panel))
+
+
+def intensity(ax, found, window=0, detector=0):
+    """Density of the intensity $I = |A|^2$ over its mean, with standard errors, beside the Gaussian
+    law.
+    """
+    middle = 0.5 * (found.edge[1:] + found.edge[:-1])
+    # of a Gaussian field the mean over each bin, as the points are
+    law = -np.diff(np.exp(-found.edge)) / np.diff(found.edge)
+    (line,) = ax.plot(middle, law, label=r"Gaussian, $e^{-x}$", **LAW)
+    values, errors = (each[window, detector] for each in (found.density, found.density_error))
+    values, names = np.where(values > 0, values, np.nan), [NAMES[part] for part in found.part]
+    marks.points(ax, middle, values, errors, names, **LOOK)
+    ax.set_xlim(found.edge[0], found.edge[-1])
+    ax.set(yscale="log", xlabel=r"$x = I/\langle I\rangle$", ylabel="density $P(x)$")
+    return line
+
+
+def correlation(ax, found, window=0, detector=0):
+    """Correlation of the intensity along the driving frequency, shifts in half widths."""
+    known = np.isfinite(found.correlation[window, detector])
+    reach = found.shift[window] / found.half_width[window, detector][:, None]
+    furthest = min(WIDTHS, np.max(reach, where=known & np.isfinite(reach), initial=1.0))
+    x = np.linspace(0, furthest, 200)
+    (line,) = ax.plot(x, 1 / (1 + x**2), label="Lorentzian", **LAW)
+    values, names = found.correlation[window, detector], [NAMES[part] for part in found.part]
+    values = np.where(reach <= furthest, values, np.nan)
+    errors = found.correlation_error[window, detector]
+    marks.points(ax, reach, values, errors, names, **LOOK)
+    ax.axhline(0, color="black", linewidth=0.4)
+    ax.set(xlim=(0, furthest), xlabel=r"shift of $\omega$ (half widths)")
+    ax.set_ylabel("correlation of $I$")
+    return line
+
+
+def _transport(found, lattice):
+    """Return the figure of profiles over depth, lengths and wave numbers by frequency, delays."""
+    panels = [profile, length]
+    if found.wave_number is not None and np.isfinite(found.wave_number).any():
+        panels.append(wave_number)
+    if found.band_delay is not None:  # files before version 5 have none
+        panels.append(band_delay)
+    figure = style.stack(panels, found=found, lattice=lattice)
+    figure.caption += " Bars: standard errors over samples."
+    return figure
+
+
+def profile(ax, found, lattice):
+    """Mean logarithm of the amplitude against the distance from the driven wall, at some driving
+    frequencies; pale: where lines go through.
+    """
+    chosen = _some(found.omega)
+    if found.depth_low is not None:
+        ax.axvspan(found.depth_low, found.depth_high, color="#F0F0F0", zorder=0)
+    scales.label(ax.xaxis, scales.DISTANCE)
+    ax.set_ylabel(r"$\langle\ln|A|\rangle$")
+    labels = [scales.frequency(x / lattice.omega_mx, lattice, 3) for x in found.omega[chosen]]
+    values, errors = found.ln_amplitude[chosen], found.ln_amplitude_error[chosen]
+    return marks.points(ax, found.depth, values, errors, labels)
+
+
+def length(ax, found, lattice):
+    r"""Attenuation length against the driving frequency where sound propagates, above the first
+    mode (dashed): of the typical amplitude $e^{\langle\ln|A|\rangle}$, of the root mean square,
+    twice the intensity's, and of the coherent $|\langle A\rangle|$, twice the scattering length.
+    Circled: $\langle\ln|A|\rangle$ is not straight, p < .01.
+    """
+    ax.set_yscale("log")
+    scales.label(ax.yaxis, scales.ATTENUATION)
+    if found.first_mode is not None:
+        look = {"color": "black", "linestyle": "--", "linewidth": 0.6}
+        ax.axvline(found.first_mode / lattice.omega_mx, **look)
+    drawn = _by_frequency(ax, found, lattice, FALLS)
+    if found.straightness is not None:
+        refused = found.omega[found.refused] / lattice.omega_mx, found.length[found.refused]
+        ax.plot(*refused, "o", markersize=4, color="black", markerfacecolor="none", linewidth=0.6)
+    return drawn
+
+
+def wave_number(ax, found, lattice):
+    """Wave number of the coherent field against the driving frequency."""
+    ax.set_ylabel(r"wave number $k$ (rad/spacing)")
+    return _by_frequency(ax, found, lattice, {"wave_number": (None, 1)})
+
+
+def _by_frequency(ax, found, lattice, named):
+    """Draw numbers of a record as far as it has them, so many times."""
+    x, rows = found.omega / lattice.omega_mx, []
+    scales.frequencies(ax, x)
+    for name, (words, times) in named.items():
+        values, errors = (getattr(found, name + end) for end in ("", "_error"))
+        if values is not None and np.isfinite(values).any():
+            rows.append((times * values, times * errors, words))
+    look = {"markersize": 2, "elinewidth": 0.6}
+    return marks.points(ax, x, *zip(*rows, strict=True), **look) if rows else []
+
+
+def band_delay(ax, found, lattice):
+    """Mean group delay in bands of frequencies, by their middle, against the distance. Hollow: it
+    does not grow for certain.
+    """
+    scales.label(ax.xaxis, scales.DISTANCE)
+    scales.label(ax.yaxis, scales.DELAY)
+    middles = 0.5 * (found.edge[1:] + found.edge[:-1]) / lattice.omega_mx
+    labels = [scales.frequency(middle, lattice, 2) for middle in middles]
+    late, error = found.band_delay * lattice.omega_mx, found.band_delay_error * lattice.omega_mx
+    drawn = marks.points(ax, found.depth, late, error, labels)
+    for points, propagates in zip(drawn, found.propagates, strict=True):
+        if not propagates:
+            points.lines[0].set_markerfacecolor("none")
+    return drawn
+
+
+def decay(ax, found, lattice):
+    r"""Mean of $u^2 + (v/\omega)^2$ over samples against time, at some distances from what is
+    driven; lines: the fit of diffusion between two walls. Bars: standard errors.
+    """
+    chosen, time = _some(found.depth), found.time * lattice.omega_mx
+    scales.label(ax.xaxis, scales.TIME)
+    ax.set(yscale="log", ylabel=r"$\langle u^2 + (v/\omega)^2\rangle$")
+    labels = [f"{depth:g} spacings" for depth in found.depth[chosen]]
+    square, error, fit = (
+        x[:, chosen] for x in (found.mean_square, found.mean_square_error, found.fit)
+    )
+    drawn = marks.points(ax, time, square.T, error.T, labels)
+    for points, line in zip(drawn, fit.T, strict=True):
+        ax.plot(time, line, color=points.lines[0].get_color(), linewidth=0.8)
+    return drawn
+
+
+def _some(values):
+    """Return the numbers of a few values, equally far from each other."""
+    return np.unique(np.linspace(0, len(values) - 1, SHOWN + 2).astype(int)[1:-1])

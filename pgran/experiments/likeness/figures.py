@@ -5,40 +5,33 @@ import numpy as np
 from pgran.draw import marks, scales, style
 
 SIGNALS = {"ln|A|": r"$\ln|A|$", "A": "$A$", "u": "$u$"}
-CAPTIONS = (
-    "in windows; open: under the stretch that makes it largest.",
-    "That stretch, the relative change of frequencies or speeds, where one is known.",
-    "Minus the logarithm of the correlation, against time.",
-)
 
 
 def figures(result, **_):
     """Yield the panels below each other."""
     found = result.likeness
     panels = [correlation, stretch] + [decorrelation] * (found.of == "pulse")
-    both = f"Correlation of A ({found.label_a}) and B ({found.label_b}) {CAPTIONS[0]}"
-    page = style.stack(panels, [both, *CAPTIONS[1 : len(panels)]], shared=True, found=found)
-    page.caption += " Bars: windows, and standard errors."
+    page = style.stack(panels, shared=True, found=found)
+    page.caption += f" A: {found.label_a}; B: {found.label_b}. Bars: windows, and standard errors."
     yield "likeness", page
 
 
 def correlation(ax, found):
-    """Draw correlations as they are, and the largest ones; return the points of the first."""
+    """Correlation of A and B in windows; open: under the stretch that makes it largest."""
     _points(ax, found, "", found.stretched, 0 * found.stretched, told=False, fillstyle="none")
     return _points(ax, found, "correlation", found.correlation, found.correlation_error)
 
 
 def stretch(ax, found):
-    """Draw stretches; return the points."""
+    """That stretch, the relative change of frequencies or speeds, where one is known."""
     return _points(ax, found, r"stretch $\epsilon$", found.stretch, found.stretch_error)
 
 
 def decorrelation(ax, found):
-    """Draw -ln of correlations where they are positive; return the points."""
+    """Minus the logarithm of the correlation, where it is positive, against time."""
     positive = np.where(found.correlation > 0, found.correlation, np.nan)
-    return _points(
-        ax, found, r"$-\ln$ correlation", -np.log(positive), found.correlation_error / positive
-    )
+    errors = found.correlation_error / positive
+    return _points(ax, found, r"$-\ln$ correlation", -np.log(positive), errors)
 
 
 def _points(ax, found, label, values, errors, told=True, **look):

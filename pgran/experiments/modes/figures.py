@@ -5,21 +5,12 @@ from functools import partial
 
 import numpy as np
 
-from pgran.draw import balls, captions, marks, scales, style, together
+from pgran.draw import balls, captions, marks, scales, style
 from pgran.errors import FileError
 from pgran.experiments.modes import figures_density as counts
 from pgran.experiments.modes.record import exactness
 from pgran.store.estimate import counted
 
-CAPTIONS = {
-    "shapes": "Shapes of normal modes; $P_i$: how many balls take part.",
-    "participation": "Participation ratio $P_i$ of each normal mode, about how many of the balls "
-    "take part, against its frequency.",
-    "density": "Density of the normal modes per ball and $\\omega_{mx}$; its area is the share of "
-    "the modes that are shown; bars: square roots of the counts.",
-    "resonances": "What the drive makes of each normal mode: $|A|$ of a detector at the mode's "
-    "peak, if it stood alone, to first order in the damping.",
-}
 ASIDE = 0.02  # of an axis: room beside points
 NEAR = 0.05  # omega_mx: modes around the middle one that is pictured
 MANY = 20  # modes that have a density
@@ -37,17 +28,16 @@ def figures(result, **_):
     if record.vector is not None and lattice.has_places:
         picked = pick(record.omega / lattice.omega_mx, record.participation)
         panels = [partial(shape, mode=mode, **both) for mode in picked]
-        made["shapes"] = balls.motions(lattice, panels, CAPTIONS["shapes"])
-    made["participation"] = style.single(participation, CAPTIONS, **both)
+        made["shapes"] = balls.motions(lattice, panels, style.caption_of(shape))
+    made["participation"] = style.single(participation, **both)
     if record.residue is not None and np.any(record.width):
-        made["resonances"] = style.single(resonances, CAPTIONS, **both)
+        made["resonances"] = style.single(resonances, **both)
     if len(record.omega) >= MANY and np.ptp(record.omega) > 0:
         level = counts.debye(lattice)
-        made["density"] = style.single(density, CAPTIONS, level=level, **both)
+        made["density"] = style.single(density, level=level, **both)
         if counts.dimension(lattice) and np.any(record.omega > 0):
             bins = counts.log_bins(record.omega / lattice.omega_mx)
-            bins |= {"lattice": lattice, "level": level}
-            made["reduced"] = style.single(counts.reduced, counts.CAPTIONS, **bins)
+            made["reduced"] = style.single(counts.reduced, lattice=lattice, level=level, **bins)
     left = len(result.modes.omega) - len(record.omega)
     unstable = counted(np.count_nonzero(record.omega < 0), "unstable mode")
     for name, figure in made.items():
@@ -56,8 +46,16 @@ def figures(result, **_):
             style.note(figure, f"NOT SHOWN: {unstable}")
         elif np.any(record.omega < 0):
             figure.caption += rf" At $\omega_i = -\sqrt{{-\omega_i^2}}$: {unstable}."
-        style.note_missing(figure, record)
+        note_missing(figure, record)
         yield name, figure
+
+
+def note_missing(figure, record):
+    """Say in a figure if modes are missing or inaccurate, in a record of modes or on modes."""
+    if record.count_found != record.count_expected:
+        style.note(figure, f"NOT ALL MODES: {record.count_found} of {record.count_expected} found")
+    elif not record.count_certified:
+        style.note(figure, "NOT CERTIFIED: some modes are inaccurate")
 
 
 def errors(record, _):
@@ -71,21 +69,37 @@ def errors(record, _):
 
 
 def shape(ax, modes, lattice, mode):
-    """Draw the shape of one mode in units of its largest entry (paper: modepic).
+    """Shapes of normal modes; $P_i$: how many balls take part.
 
-    As `balls.motion` draws displacements. The lowest mode is number 0; the record has its `vector`.
-    Returns the image, the line, or arrows or balls.
+    In units of the largest entry, as `balls.motion` draws displacements (paper: modepic). The
+    lowest mode is number 0; the record has its `vector`.
     """
     values = lattice.built.displacements(modes.vector[mode])
     drawn, _, plane = balls.motion(ax, lattice, values)
     omega = scales.frequency(modes.omega[mode] / lattice.omega_mx, lattice)
-    taking_part = f"$P_i$ = {modes.participation[mode]:.3g} balls"
-    ax.set_title(", ".join(filter(None, [omega, taking_part, plane])))
+    style.title(ax, omega, f"$P_i$ = {modes.participation[mode]:.3g} balls", plane)
     return drawn
 
 
+def pick(x, participation):
+    """Return the indices of the modes to picture, ascending, each once; all if there are three.
+
+    The second lowest mode, one near .6 that is extended as the median of those around it, and the
+    one nearest to 1 (paper: modepic). `x`: frequencies in units of omega_mx.
+    """
+    if len(x) <= 3:
+        return list(range(len(x)))
+    distance = np.abs(x - 0.6)
+    near = np.flatnonzero(distance <= max(NEAR, distance.min()))
+    usual = np.median(participation[near])
+    middle = near[np.abs(participation[near] - usual).argmin()]
+    return sorted({1, int(middle), int(np.abs(x - 1.0).argmin())})
+
+
 def participation(ax, modes, lattice, **look):
-    """Draw the participation ratio against frequency, from 1 to all balls; return the points."""
+    """Participation ratio $P_i$ of each normal mode, about how many of the balls take part, against
+    its frequency.
+    """
     x = modes.omega / lattice.omega_mx
     look = {"marker": ".", "markeredgewidth": 0, "color": "black"} | look
     (points,) = ax.plot(x, modes.participation, linestyle="none", clip_on=False, **look)
@@ -107,7 +121,8 @@ def participation_axes(ax, x, lattice):
 
 
 def resonances(ax, modes, lattice):
-    """Draw |A| of each detector at the peak of each mode, as if it stood alone; return the points.
+    """What the drive makes of each normal mode: $|A|$ of a detector at the mode's peak, if it stood
+    alone, to first order in the damping.
 
     Peaks fainter than FAINT of the largest are left out.
     """
@@ -119,6 +134,17 @@ def resonances(ax, modes, lattice):
     x = modes.omega / lattice.omega_mx
     scales.frequencies(ax, x, scales.MODE_FREQUENCY, aside=ASIDE)
     return marks.curves(ax, x, peaks, good, names, **look)
+
+
+def density(ax, modes, lattice, edges=None, level=None, **look):
+    r"""Density of the normal modes per ball and $\omega_{mx}$; its area is the share of the modes
+    that are shown; bars: square roots of the counts.
+
+    See `figures_density.histogram`.
+    """
+    x = modes.omega / lattice.omega_mx
+    edges = bin_edges(x) if edges is None else edges
+    return counts.histogram(ax, edges, np.histogram(x, edges)[0], lattice, level=level, **look)
 
 
 def bin_edges(x, count=None):
@@ -135,37 +161,17 @@ def bin_edges(x, count=None):
     return np.append(ends[0][:-1], ends[1])
 
 
-def density(ax, modes, lattice, edges=None, level=None, **look):
-    """Draw the density of modes per ball and omega_mx, as `histogram`; return the outline."""
-    x = modes.omega / lattice.omega_mx
-    edges = bin_edges(x) if edges is None else edges
-    return counts.histogram(ax, edges, np.histogram(x, edges)[0], lattice, level=level, **look)
-
-
-def pick(x, participation):
-    """Return the indices of the modes to picture, ascending, each once; all if there are three.
-
-    The second lowest mode, one near .6 that is extended as the median of those around it, and the
-    one nearest to 1 (paper: modepic). `x`: frequencies in units of omega_mx.
-    """
-    if len(x) <= 3:
-        return list(range(len(x)))
-    distance = np.abs(x - 0.6)
-    near = np.flatnonzero(distance <= max(NEAR, distance.min()))
-    usual = np.median(participation[near])
-    middle = near[np.abs(participation[near] - usual).argmin()]
-    return sorted({1, int(middle), int(np.abs(x - 1.0).argmin())})
-
-
 def over(results, labels):
     """Yield participation ratios, and densities if each result has many modes."""
+    from pgran.draw import together
+
     if not all(hasattr(result, "modes") for result in results):
         raise FileError("of the scene modes normal modes alone are laid over each other")
+    media = [result.medium for result in results]
     moving = [result.modes.moving(result.medium.built) for result in results]
-    x = [modes.omega / r.medium.omega_mx for modes, r in zip(moving, results, strict=True)]
+    x = [modes.omega / medium.omega_mx for modes, medium in zip(moving, media, strict=True)]
     for each in x:
         style.check_any(each, "modes that move")
-    media = [result.medium for result in results]
     several = list(zip(moving, media, labels, strict=True))
 
     def points(ax):
@@ -182,12 +188,12 @@ def over(results, labels):
             look = {"edgecolor": style.COLOURS[number], "linestyle": together.LINES[number]}
             density(ax, modes, medium, edges, label=label, **look)
 
-    made = {"participation": points}
+    made = {participation: points}
     if min(map(len, x)) >= MANY:
-        made["density"] = outlines
+        made[density] = outlines
     missing = sum(not result.modes.count_certified for result in results)
-    for name, draw in made.items():
-        page = style.single(draw, CAPTIONS[name])
+    for panel, draw in made.items():
+        page = style.single(draw, style.caption_of(panel))
         if missing:
             style.note(page, f"NOT CERTIFIED: modes of {missing} of {len(results)} results")
-        yield name, page
+        yield panel.__name__, page

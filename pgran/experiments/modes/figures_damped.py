@@ -10,13 +10,6 @@ from pgran.experiments.modes.resonances import drive_of
 from pgran.experiments.modes.shapes import least_frequency
 from pgran.store.estimate import counted
 
-CAPTIONS = {
-    "widths": r"Damped modes $s = -\Gamma/2 + i \omega$.",
-    "swings": "Shapes of damped modes: where most moves, and a quarter period later, "
-    "with its size over that before.",
-    "residues": r"Response as the sum of the residues of all damped modes over $i\omega - s$, "
-    "where rounding leaves it.",
-}
 WIDTH = scales.Quantity("width", r"$\Gamma/\omega_{mx}$", "1/s", 1)
 LOST = 2e-15  # of |e_d| |f| |x|^2: what rounding takes of a residue
 POINTS = 3000  # frequencies of a sum
@@ -27,15 +20,15 @@ def figures(result, **_):
     modes, medium = result.damped_modes, result.medium
     style.check_any(modes.eigenvalue, "modes")
     both = {"modes": modes, "medium": medium}
-    made = {"widths": style.single(widths, CAPTIONS, **both)}
+    made = {"widths": style.single(widths, **both)}
     ringing = np.flatnonzero((modes.omega > 0) & (modes.rigidity > 0))
     if modes.vector is not None and medium.has_places and len(ringing):
         picked = pick(modes.omega[ringing] / medium.omega_mx, modes.participation[ringing])
         panels = [(n, later) for n in ringing[picked][-2:] for later in (False, True)]
         draws = [partial(swing, **both, mode=n, later=later) for n, later in panels]
-        made["swings"] = balls.motions(medium, draws, CAPTIONS["swings"])
+        made["swings"] = balls.motions(medium, draws, style.caption_of(swing))
     if modes.complete and modes.residue is not None and np.isfinite(modes.residue).all():
-        made["residues"] = style.single(residues, CAPTIONS, **both)
+        made["residues"] = style.single(residues, **both)
     for name, figure in made.items():
         if modes.failures:
             style.note(figure, modes.exactness())
@@ -48,9 +41,10 @@ def errors(record, _):
 
 
 def widths(ax, modes, medium):
-    """Draw widths against frequencies, 0 of overdamped modes; return the points.
+    r"""Damped modes $s = -\Gamma/2 + i \omega$.
 
-    Those of growing modes are drawn apart, those of modes at rest are none.
+    Frequencies of overdamped modes are 0, growing modes are drawn apart, those at rest have no
+    width.
     """
     x, y = modes.omega / medium.omega_mx, modes.width / medium.omega_mx
     ax.set(yscale="log")
@@ -65,19 +59,23 @@ def widths(ax, modes, medium):
 
 
 def swing(ax, modes, medium, mode, later):
-    """Draw the real part of a shape, turned to be the largest, or what moves later; return it."""
+    """Shapes of damped modes: where most moves, and a quarter period later, with its size over that
+    before.
+    """
     x = medium.built.displacements(modes.vector[mode])
-    x = x * np.exp(-0.5j * np.angle(np.sum(x * x)))
+    x = x * np.exp(-0.5j * np.angle(np.sum(x * x)))  # whose real part is the largest
     drawn, _, plane = balls.motion(ax, medium, -x.imag if later else x.real, of=x.real)
     told = scales.frequency(modes.omega[mode] / medium.omega_mx, medium)
     if later:
         told = rf"later: $\times$ {np.linalg.norm(x.imag) / np.linalg.norm(x.real):.2g}"
-    ax.set_title(", ".join(filter(None, [told, plane])))
+    style.title(ax, told, plane)
     return drawn
 
 
 def residues(ax, modes, medium):
-    """Draw |A| of each detector as the sum of residues; return the lines."""
+    r"""Response as the sum of the residues of all damped modes over $i\omega - s$, where rounding
+    leaves it.
+    """
     built, highest = medium.built, 1.1 * (modes.omega.max() or medium.omega_mx)
     omegas = np.linspace(0.0, highest, POINTS + 1)[1:]
     names = style.ball_names(modes.detector) if len(modes.detector) > 1 else None

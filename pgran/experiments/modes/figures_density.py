@@ -6,16 +6,8 @@ import numpy as np
 
 from pgran.draw import scales, style
 from pgran.errors import PgranError
-from pgran.medium.statics import sound
 from pgran.store.estimate import counted
 
-CAPTIONS = {
-    "staircase": "How many normal modes lie below a frequency: counts.",
-    "density": "Density of the normal modes between counted frequencies; bars: square roots of the "
-    "counts.",
-    "reduced": r"Density of the normal modes over $(\omega/\omega_{mx})^{d-1}$, $d$ the dimension "
-    "of space, by which that of long waves is a constant; bars: square roots of the counts.",
-}
 LAW = {"color": style.UNRESOLVED, "linestyle": "--"}
 DEBYE = "long waves (Debye), by statics"
 BINS = 24  # at most, evenly in the logarithm of the frequency
@@ -32,7 +24,7 @@ def figures(result, **_):
         bins = {"edges": record.omega / record.omega_mx, "counts": counts}
         panels[reduced] = bins | {"lattice": lattice, "level": level}
     for panel, shown in panels.items():
-        figure = style.single(panel, CAPTIONS, **shown)
+        figure = style.single(panel, **shown)
         if record.failures:
             style.note(figure, f"NOT CERTIFIED: {counted(record.failures, 'count')}, left out")
         if panel is not staircase and (record.unstable or 0) > 0:
@@ -46,7 +38,7 @@ def errors(record, _):
 
 
 def staircase(ax, density, lattice):
-    """Draw how many modes lie below each frequency, and Weyl's law if known; return the curve."""
+    """How many normal modes lie below a frequency: counts; broken: Weyl's law, if it is known."""
     x, counts = density.omega / density.omega_mx, density.count
     dots = {"marker": "."} if len(x) <= style.FEW else {}
     shown = np.where(density.certified, counts, np.nan)
@@ -62,14 +54,14 @@ def staircase(ax, density, lattice):
 
 
 def density(ax, density, lattice, level=None):
-    """Draw modes between frequencies, per ball and omega_mx, as `histogram`; return the outline."""
+    """Density of the normal modes between counted frequencies; bars: square roots of the counts."""
     x = density.omega / density.omega_mx
     counts = density.density * density.balls * np.diff(x)
     return histogram(ax, x, counts, lattice, scales.ANY_FREQUENCY, level)
 
 
 def histogram(ax, edges, counts, lattice, quantity=scales.MODE_FREQUENCY, level=None, **look):
-    """Draw the density of modes per ball that are counted between edges; return the outline.
+    """Draw the density of modes per ball that are counted between edges.
 
     Without a look of its own it is filled, and has counting errors; with Debye's law at the `level`
     of `debye`.
@@ -102,6 +94,8 @@ def debye(lattice):
 
     That needs their speeds, `pgran.sound`, which networks with walls have not.
     """
+    from pgran.medium.statics import sound
+
     with contextlib.suppress(PgranError):
         found = sound(lattice.built)
         part = found.balls / lattice.free_balls  # rattlers carry no waves
@@ -125,7 +119,8 @@ def log_bins(x):
 
 
 def reduced(ax, edges, counts, lattice, level=None):
-    """Draw the density of modes over x^(d-1), with counting errors, and Debye's law; return points.
+    r"""Density of the normal modes over $(\omega/\omega_{mx})^{d-1}$, $d$ the dimension of space,
+    by which that of long waves is a constant; bars: square roots of the counts.
 
     `edges`, in units of omega_mx, are those of the `counts` of modes, `level` is as of `debye`.
     """

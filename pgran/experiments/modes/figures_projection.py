@@ -8,14 +8,6 @@ from pgran.experiments.modes import figures as modes_figures
 COEFFICIENT = "coefficient $|c_i|$ (drive = 1)"
 SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes of cifreq lie
 
-CAPTIONS = {
-    "onefreq": "Coefficients of the driven lattice in its normal modes at one driving frequency, "
-    "against the frequency of the modes.",
-    "maxci": "Frequency of the mode that is excited most, against the driving frequency.",
-    "cifreq": "Coefficients of successive normal modes against the driving frequency; broken "
-    "lines: their own frequencies.",
-}
-
 
 def figures(result, **_):
     """Yield what a projection is made for."""
@@ -27,8 +19,8 @@ def figures(result, **_):
         name, draw = "maxci", dominant
     else:
         name, draw = "cifreq", single_modes
-    figure = style.single(draw, CAPTIONS[name], projection=projection, lattice=result.medium)
-    style.note_missing(figure, projection)
+    figure = style.single(draw, projection=projection, lattice=result.medium)
+    modes_figures.note_missing(figure, projection)
     yield name, figure
 
 
@@ -41,11 +33,11 @@ def errors(record, how):
 
 
 def coefficients(ax, projection, lattice, drive=SHOWN):
-    """Draw the coefficients against the frequency of the modes at one drive (paper: onefreq).
+    """Coefficients of the driven lattice in its normal modes at one driving frequency, against the
+    frequency of the modes.
 
-    A point a mode, on a stem. Of the driving frequencies that are as accurate as asked the one
-    nearest to `drive`, in units of omega_mx, is drawn; if none is, only a cross at the nearest of
-    all. Returns the points.
+    (Paper: onefreq.) Of the driving frequencies that are as accurate as asked the one nearest to
+    `drive`, in units of omega_mx, is drawn; if none is, only a cross at the nearest of all.
     """
     x, modes, accurate = _in_units(projection, lattice)
     shown = np.where(accurate == accurate.any(), np.abs(x - drive), np.inf).argmin()
@@ -58,15 +50,18 @@ def coefficients(ax, projection, lattice, drive=SHOWN):
     look = {"color": "black", "linestyle": "none", "clip_on": False}
     (curve,) = marks.curves(ax, modes, values, good, dots=True, **look)
     if good.any():
-        look = {"color": "#bbbbbb", "linewidth": 0.4, "zorder": 1}
-        ax.vlines(modes[good], ax.get_ylim()[0], values[good], **look)
+        stems = {"color": "#bbbbbb", "linewidth": 0.4, "zorder": 1}
+        ax.vlines(modes[good], ax.get_ylim()[0], values[good], **stems)
     if not accurate[shown]:
         marks.failed(ax, x[[shown]])
     return curve
 
 
 def dominant(ax, projection, lattice):
-    """Draw the frequency of the dominant mode against the drive; return points (paper: maxci)."""
+    """Frequency of the mode that is excited most, against the driving frequency.
+
+    (Paper: maxci.)
+    """
     x, modes, accurate = _in_units(projection, lattice)
     good = accurate & (projection.dominant >= 0)
     scales.label(ax.yaxis, scales.DOMINANT)
@@ -81,10 +76,11 @@ def dominant(ax, projection, lattice):
 
 
 def single_modes(ax, projection, lattice):
-    """Draw the coefficients of three successive modes against the drive (paper: cifreq).
+    """Coefficients of successive normal modes against the driving frequency; broken lines: their
+    own frequencies.
 
-    The modes nearest to .6 omega_mx, or to the middle of a sweep that is elsewhere; their own
-    frequencies are broken lines. Returns the curves.
+    (Paper: cifreq.) The three modes nearest to .6 omega_mx, or to the middle of a sweep that is
+    elsewhere.
     """
     x, modes, accurate = _in_units(projection, lattice)
     chosen = successive(modes, SHOWN if x[0] <= SHOWN <= x[-1] else (x[0] + x[-1]) / 2)

@@ -1,35 +1,34 @@
-"""The figures of a pulse: signals by distance, fields, energy; `transfer` has the spectra."""
+"""The figures of a pulse: signals by distance, fields, energy, and spectra beside a response's."""
 
 from functools import partial
 
 import numpy as np
 
-from pgran.draw import balls, bonds, captions, scales, style, together
-from pgran.experiments.pulse import transfer
+from pgran.draw import balls, bonds, captions, marks, scales, style
+from pgran.errors import FileError
+
+LOUD = 0.01  # of the largest of the wall's spectrum: what spectra are divided by
+FADING = 0.25  # part of the time, the last one, over which motions are faded out before that
+FINER = 8  # times as many frequencies as a signal has: peaks are round
+NARROWEST = 2.0  # inches of a column of spectra
+ROWS = 6  # of spectra, before there is another column
 
 
 def figures(result, response=None, **_):
     """Yield the signals, the field if it is stored, the energy if known, spectra, and the bonds."""
     signals, lattice = result.pulse, result.medium
-    panel = {"signals": signals, "lattice": lattice}
-    caption = (
-        f"A pulse ({signals.shape}): displacements of balls against time, by their depth, the "
-        f"distance from what is driven in {lattice.length}, each in units of its largest; at the "
-        "bottom the motion of the drive; "
-        "thick ticks: arrival of the front, when a thousandth of the signal's energy has passed; "
-        "pale: envelopes."
-    )
+    shown = {"signals": signals, "lattice": lattice}
     height = min(8.0, 1.4 + 0.7 * (1 + len(signals.detector)))
-    yield "signals", style.single(seismogram, caption, style.PAGE, height, **panel)
+    figure = style.single(seismogram, None, style.PAGE, height, **shown)
+    figure.caption += f" Pulse: {signals.shape}; depths in {lattice.length}."
+    yield "signals", figure
     if signals.field is not None and lattice.has_places:
-        times = range(len(signals.field_time))
-        panels = [partial(field, number=n, **panel) for n in times]
-        caption = "Displacements of all balls at some times."
-        yield "field", balls.motions(lattice, panels, caption, "circles: detectors", driven=True)
+        times = [partial(field, number=n, **shown) for n in range(len(signals.field_time))]
+        caption = style.caption_of(field)
+        yield "field", balls.motions(lattice, times, caption, "circles: detectors", driven=True)
     if signals.energy is not None:
-        caption = "Work of the drive, energy of balls and springs, and what damping took."
-        yield "energy", style.single(energy, caption, **panel)
-    yield "spectrum", transfer.page(signals, lattice, response)
+        yield "energy", style.single(energy, **shown)
+    yield "spectrum", _spectra(signals, lattice, response)
     if lattice.group == "lattice":
         yield "bonds", bonds.page(lattice, signals.detector)
 
@@ -43,11 +42,12 @@ def errors(record, _):
 
 
 def seismogram(ax, signals, lattice):
-    """Draw the signals above each other, each scaled to its largest, by distance from the wall.
+    """Displacements of balls against time, by their depth, the distance from what is driven, each
+    in units of its largest; at the bottom the motion of the drive; thick ticks: arrival of the
+    front, when a thousandth of the signal's energy has passed; pale: envelopes.
 
-    The wall's own motion is at the bottom; ticks mark where fronts have arrived. Envelopes are pale
-    lines, unless the wall ends elsewhere than it began. What is below its error is not drawn.
-    Returns the curves.
+    A wall that ends elsewhere than it began leaves no envelopes. What is below its error is not
+    drawn.
     """
     time, largest = signals.time * lattice.omega_mx, np.abs(signals.displacement).max(axis=0)
     known = largest > signals.error.max(axis=0)
@@ -81,19 +81,19 @@ def seismogram(ax, signals, lattice):
 
 
 def field(ax, signals, lattice, number):
-    """Draw all balls at one of the times of `field`, and the detectors; return what is drawn."""
+    """Displacements of all balls at some times."""
     time, where = signals.field_time[number], signals.detector
     wall = np.interp(time, signals.time, signals.wall)
     values = signals.field[number]
     drawn, unit, plane = balls.motion(ax, lattice, values, wall, where, few_beyond=True)
     largest = f"{'99 % within' if balls.beyond(drawn) else 'largest'} {unit:.2g}"
-    moment = rf"$t$ = {scales.time(time * lattice.omega_mx, lattice)}"
-    ax.set_title(", ".join(filter(None, [moment, largest, plane])))
+    moment = scales.said(time * lattice.omega_mx, lattice, scales.TIME_IN_WORDS)
+    style.title(ax, rf"$t$ = {moment}", largest, plane)
     return drawn
 
 
 def energy(ax, signals, lattice):
-    """Draw work of the drive, energy of balls and springs, what damping took; return the curves."""
+    """Work of the drive, energy of balls and springs, and what damping took."""
     time, unit = signals.time * lattice.omega_mx, lattice.built.mass * lattice.omega_mx**2
     shown = [
         (signals.work, "work of the drive", {"color": "#bbbbbb", "linewidth": 2.5}),
@@ -105,10 +105,102 @@ def energy(ax, signals, lattice):
     return [ax.plot(time, y / unit, label=label, **look)[0] for y, label, look in shown]
 
 
+def _spectra(signals, lattice, response):
+    """Return the figure of the spectra, a panel a detector."""
+    if response and not any(_heard_at(site, response).size for site in signals.detector):
+        raise FileError("the pulse and the response have no detector in common")
+    order, _ = captions.by_depth(lattice, signals.detector)
+    shown = {"signals": signals, "lattice": lattice, "response": response}
+    figure, columns = style.grid(
+        [partial(spectrum, number=d, **shown) for d in order],
+        lambda rows: 0.4 + max(1.2 * rows, 2.0), ROWS, NARROWEST, sharex=True, sharey=True,
+    )  # fmt: skip
+    for ax in figure.panels:
+        ax.set_ylabel("")
+    figure.supylabel(scales.AMPLITUDE, fontsize="medium")
+    if response:
+        style.legend_above([figure.panels[columns - 1], *figure.panels])
+    end = signals.time[-1] * lattice.omega_mx
+    until = rf"until $T$ = {scales.said(end, lattice, scales.TIME_IN_WORDS)}"
+    style.above(figure, f"signal/drive {until}", "left: of the largest speed, near that end")
+    blurred = scales.frequency(2 * np.pi / end, lattice, 2)
+    figure.caption = (
+        f"{style.caption_of(spectrum)} The signals are those {until}. Left: largest speed in the "
+        "last quarter of that time over the largest of all; where some is left frequencies are "
+        f"blurred by {blurred} or more."
+    )
+    return figure
+
+
+def spectrum(ax, signals, lattice, number, response=None):
+    r"""Spectra of the signals of balls over that of the drive.
+
+    Velocities are faded out over the last quarter of the time T. This blurs the spectrum of a ball
+    that moves there still, over 2 pi / T or, if it began late, more: the title says how much of its
+    largest velocity is left there. What is below its error, or where the wall's own velocity has
+    next to no spectrum, is not drawn. Of a response of the same lattice the amplitude is drawn
+    where it has the detector.
+    """
+    omega, size, good = ratio(signals, number)
+    x = omega / lattice.omega_mx
+    ax.set(yscale="log", ylabel=scales.AMPLITUDE)
+    scales.frequencies(ax, x[np.isfinite(size)])
+    low, high = ax.get_xlim()
+    for d in [] if response is None else _heard_at(signals.detector[number], response):
+        swept, there = response.omega / lattice.omega_mx, marks.known_amplitudes(response)[:, d]
+        there &= (low <= swept) & (swept <= high)
+        look = {"color": style.pale(style.ACCENT), "linewidth": 2.5, "dots": False}
+        marks.curves(ax, swept, response.amplitude[:, d], there, ["steady response"], **look)
+    look = {"color": "black", "dots": False}
+    (curve,) = marks.curves(ax, x, size, good, ["signal/drive"], **look)
+    speed = np.abs(signals.velocity[:, number])
+    left = speed[-round(FADING * len(speed)) :].max() / (speed.max() or 1.0)
+    _, (name,) = captions.by_depth(lattice, signals.detector[[number]])
+    ax.set_title(f"{name}; {100 * left:.3g} % left")
+    return curve
+
+
+def _heard_at(site, response):
+    """Return the numbers of the response's detectors at a site."""
+    return np.flatnonzero((response.detector == site).all(axis=1))
+
+
+def ratio(signals, number):
+    """Return angular frequencies, |u^ / U^| of one detector there, and which exceed their error.
+
+    From differences between successive times, whose transforms have a factor in common: so a step
+    has a spectrum too. Both are faded out alike; without that a ball that moves still at the end
+    would seem to have heard all frequencies. All have the shape (n,); the ratio is NaN where the
+    wall has next to no spectrum.
+    """
+    step, count = signals.time[1] - signals.time[0], FINER * len(signals.time)
+    omega = 2 * np.pi / step * np.fft.rfftfreq(count)
+    window = np.ones(len(signals.time) - 1)
+    fading = max(round(FADING * len(window)), 1)
+    bell = np.blackman(fading + 2)[1:-1]
+    window[-fading:] -= np.cumsum(bell) / bell.sum()
+    moved, wall = (
+        np.abs(np.fft.rfft(np.diff(values) * window, count))
+        for values in (signals.displacement[:, number], signals.wall)
+    )
+    loud = wall > LOUD * wall.max()
+    size = np.divide(moved, wall, out=np.full_like(moved, np.nan), where=loud)
+    error = signals.error[:, number]
+    if not np.isfinite(error).all():
+        return omega, size, np.zeros_like(loud)
+    # An error e at one time adds e |w - z w'|, w and w' in the window before and after, |z| = 1.
+    before, after = np.append(0.0, window), np.append(window, 0.0)
+    turn = 2 * np.abs(np.sin(omega * step / 2))  # |1 - z|
+    bound = turn * (after @ error) + np.abs(before - after) @ error
+    return omega, size, loud & (moved > bound)
+
+
 def over(results, labels):
     """Yield the signals of the first detector; not those that are below their error."""
+    from pgran.draw import together
 
     def signals(ax):
+        """Displacement of a ball against time."""
         last = 0.0
         for number, (result, label) in enumerate(zip(results, labels, strict=True)):
             shown, time = result.pulse, result.pulse.time * result.medium.omega_mx
@@ -122,5 +214,4 @@ def over(results, labels):
         scales.label(ax.xaxis, scales.TIME)
         ax.set(ylabel="displacement", xlim=(0, last))
 
-    caption = "Displacement of a ball against time."
-    yield "signals", style.single(signals, caption, style.PAGE)
+    yield "signals", style.single(signals, None, style.PAGE)

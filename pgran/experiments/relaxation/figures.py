@@ -4,36 +4,32 @@ from functools import partial
 
 import numpy as np
 
-from pgran.draw import captions, marks, scales, style, together
+from pgran.draw import captions, marks, scales, style
 from pgran.errors import FileError
 from pgran.store.estimate import with_error
 
 SHOWN = 2000  # steps
 PM = r"\pm"  # no backslash stands within braces of an f-string
 
+errors = captions.amplitudes
+
 
 def figures(result, **_):
     """Yield the beginning of the series above its power spectrum and its memory, if there are."""
-    relaxation = result.relaxation
+    relaxation, found = result.relaxation, getattr(result, "memory", None)
+    panels = [partial(series, relaxation=relaxation)]
+    if getattr(result, "spectrum", None):
+        corner = np.array([1.0, max(found.order, 1.0) if found else 1.0])
+        corner /= 2 * np.pi * len(result.medium.built.existing)
+        look = {"spectrum": result.spectrum, "step": relaxation.step, "corner": corner}
+        panels.append(partial(spectrum, **look))
+    if found:
+        panels.append(partial(memory, memory=found))
+    figure = style.stack(panels, height=2.3)
     omega = scales.frequency(relaxation.omega / result.medium.omega_mx, result.medium)
     trajectories, count = relaxation.displacement.shape[:2]
-    part = f", the first {SHOWN} of {count - 1} steps" * (count - 1 > SHOWN)
-    part += f" of one of {trajectories} trajectories" * (trajectories > 1)
-    panels = [
-        (series, "relaxation", f"Amplitude at {omega} against time{part}; in a step one bond is "
-         "drawn anew."),
-        (spectrum, "spectrum", "Its power spectrum, the power law fitted to it, and slope -2; what "
-         r"$k$ of $M$ bonds make jointly is flat below $k/(2\pi M)$ cycles per step."),
-        (memory, "memory", "Its autocorrelation, and the band that it must lie in."),
-    ]  # fmt: skip
-    there = [(draw, name, text) for draw, name, text in panels if getattr(result, name, None)]
-    draws = [partial(draw, **{name: getattr(result, name)}) for draw, name, _ in there]
-    if len(draws) > 1:
-        bonds = len(result.medium.built.existing)
-        order = result.memory.order if len(draws) > 2 else 1.0
-        corner = np.array([1.0, max(order, 1.0)]) / (2 * np.pi * bonds)
-        draws[1] = partial(draws[1], step=relaxation.step, corner=corner)
-    figure = style.stack(draws, [text for *_, text in there], height=2.3)
+    figure.caption += f" Driven at {omega}; the first {min(SHOWN, count - 1)} of {count - 1} steps"
+    figure.caption += f" of one of {trajectories} trajectories" * (trajectories > 1) + "."
     missed = np.isnan(relaxation.displacement).any(axis=2)
     if missed.any():
         count = f"{np.count_nonzero(missed)} of {missed.size} amplitudes"
@@ -41,11 +37,11 @@ def figures(result, **_):
     yield "timeres", figure
 
 
-errors = captions.amplitudes
-
-
 def series(ax, relaxation, steps=SHOWN):
-    """Draw the first amplitudes of the first trajectory (paper: timeres); return the curves."""
+    """Amplitude against time; in a step one bond is drawn anew.
+
+    The first steps of the first trajectory are drawn (paper: timeres).
+    """
     amplitude = np.abs(relaxation.displacement[0, : steps + 1])
     limit = marks.upper_limits(relaxation)[0, : steps + 1]
     step, unit = (1, "steps of one bond") if relaxation.step is None else (relaxation.step, "s")
@@ -61,10 +57,11 @@ def series(ax, relaxation, steps=SHOWN):
 
 
 def spectrum(ax, spectrum, step=None, corner=None):
-    """Draw a power spectrum, the law fitted to it, a line of slope -2; return the lines.
+    r"""Power spectrum, the power law fitted to it, and slope -2; what $k$ of $M$ bonds make jointly
+    is flat below $k/(2\pi M)$ cycles per step.
 
-    With the seconds of a step in Hz; `corner`, two frequencies in cycles per step, is marked: what
-    k of M bonds make jointly has its own at k / (2 pi M), k from 1 to kbar.
+    With the seconds of a `step` in Hz. Two frequencies in cycles per step are marked, the `corner`
+    for k = 1 and k = kbar.
     """
     label = exponent(spectrum)
     if np.isfinite(spectrum.exponent):
@@ -85,20 +82,8 @@ def spectrum(ax, spectrum, step=None, corner=None):
     return lines
 
 
-def memory(ax, memory):
-    """Draw the autocorrelation with its errors, and the band that it must lie in; return them."""
-    ax.set(xlabel="steps in between", ylabel="autocorrelation of $|A|$")
-    ax.set(xscale="symlog", xlim=(0, memory.lag[-1]))
-    words = r"$(1 - \bar k/M)^t$ to $(1 - 1/M)^t$"
-    law = ax.fill_between(memory.lag, memory.lowest, memory.highest, color="#cccccc", label=words)
-    label = rf"$\bar k = {with_error(memory.order, memory.order_error, PM)}$"
-    look = {"color": style.ACCENT, "linewidth": 0.8, "marker": ".", "markersize": 3}
-    values = memory.lag, memory.correlation, memory.correlation_error
-    return law, ax.errorbar(*values, label=label, **look)
-
-
 def power(ax, spectrum, label, color, shade=None, linestyle="-", step=None):
-    """Draw a power spectrum, pale, and its law, with the seconds of a step in Hz; return both."""
+    """Draw a power spectrum, pale, and its law, with the seconds of a step in Hz."""
     units = ("cycles per step", "steps per cycle") if step is None else ("Hz", "1/Hz")
     ax.set(xscale="log", xlabel=f"frequency $f$ ({units[0]})")
     ax.set(yscale="log", ylabel=f"power density $S$ ({units[1]})")
@@ -119,20 +104,33 @@ def exponent(spectrum):
     return rf"$\psi = {with_error(spectrum.exponent, spectrum.exponent_error, PM)}$"
 
 
+def memory(ax, memory):
+    """Autocorrelation, and the band that it must lie in."""
+    ax.set(xlabel="steps in between", ylabel="autocorrelation of $|A|$")
+    ax.set(xscale="symlog", xlim=(0, memory.lag[-1]))
+    words = r"$(1 - \bar k/M)^t$ to $(1 - 1/M)^t$"
+    law = ax.fill_between(memory.lag, memory.lowest, memory.highest, color="#cccccc", label=words)
+    label = rf"$\bar k = {with_error(memory.order, memory.order_error, PM)}$"
+    look = {"color": style.ACCENT, "linewidth": 0.8, "marker": ".", "markersize": 3}
+    values = memory.lag, memory.correlation, memory.correlation_error
+    return law, ax.errorbar(*values, label=label, **look)
+
+
 def over(results, labels):
     """Yield the power spectra, each with the law fitted to it (paper: timeres)."""
+    from pgran.draw import together
+
     if any(getattr(result, "spectrum", None) is None for result in results):
         raise FileError("a result has no spectrum to lay over others: its run was too short")
-
     steps = [result.relaxation.step for result in results]
     if None in steps:  # of some the seconds are not known
         steps = [None] * len(steps)
 
     def spectra(ax):
+        """Power spectra of the amplitude, and the laws fitted to them."""
         for number, (result, label) in enumerate(zip(results, labels, strict=True)):
             words = f"{label}:\n{exponent(result.spectrum)}"
             look = style.COLOURS[number], None, together.LINES[number], steps[number]
             power(ax, result.spectrum, words, *look)
 
-    caption = "Power spectra of the amplitude, and the laws fitted to them."
-    yield "spectrum", style.single(spectra, caption)
+    yield "spectrum", style.single(spectra)

@@ -5,8 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from pgran.draw import bonds, captions, marks, scales, style, together
-from pgran.draw.marks import known_amplitudes
+from pgran.draw import bonds, captions, marks, scales, style
 from pgran.errors import FileError
 from pgran.experiments.response.record import LINES
 from pgran.store.estimate import with_error
@@ -18,17 +17,8 @@ REGIMES = (
     r"intermediate frequencies",
     r"high frequencies, $\omega > \omega_{mx}$",
 )
-CAPTIONS = {
-    "amplitude": "Amplitude of the steady response relative to the driven wall, against the "
-    "driving frequency.",
-    "phase": "Unwrapped phase of the steady response against the driving frequency, and straight "
-    "lines fitted to it.",
-    "delay": "Group delay $-d \\arg A / d\\omega$ of the steady response; the axis is linear in "
-    "the grey band, up to the median, and logarithmic beyond.",
-    "force": "Magnitude of the force that drives the wall.",
-    "force_phase": "Its phase.",
-    "power": "Mean power that the wall puts in.",
-}
+
+errors = captions.amplitudes
 
 
 def figures(result, modes=None, **_):
@@ -36,48 +26,78 @@ def figures(result, modes=None, **_):
     response, lattice = result.response, result.medium
     shown = {"response": response, "lattice": lattice, "modes": modes}
     yield "amplitude", amplitude_page([(response, lattice, None, {})], modes)
-    figure = style.stack([phase], CAPTIONS, **shown)
+    figure = style.single(phase, height=2.1, **shown)
     figure.caption += _fits(response, lattice, style.ball_names(response.detector))
     yield "phase", figure
-    damped = lattice.built.dissipates and response.delay is not None
-    if damped and np.isfinite(response.delay).any():
-        count, caption = len(response.detector), CAPTIONS["delay"]
-        draws = [partial(delay, d=d) for d in range(count)]
+    if lattice.built.dissipates and response.delay is not None:
+        count = len(response.detector)
+        delays = [partial(delay, d=d) for d in range(count)]
         height = 2.1 if count == 1 else 1.5 if count < 5 else 1.0
-        yield "delay", style.stack(draws, caption, height=height, shared=True, **shown)
+        if np.isfinite(response.delay).any():
+            caption = style.caption_of(delay)
+            yield "delay", style.stack(delays, caption, height=height, shared=True, **shown)
     if response.force is not None and np.any(known_force(response)):
         panels = (force, force_phase, power)[: 3 if np.any(known_power(response)) else 2]
-        yield "wall", style.stack(panels, CAPTIONS, height=1.4, shared=True, **shown)
+        yield "wall", style.stack(panels, height=1.4, shared=True, **shown)
     if lattice.group == "lattice":
         yield "bonds", bonds.page(lattice, response.detector)
 
 
-errors = captions.amplitudes
-
-
 def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf), labels=None, **line):
-    """Draw the amplitudes against frequency, a curve a detector (paper: freqres).
+    """Amplitude of the steady response relative to the driven wall, against the driving frequency.
 
-    Points that missed the accuracy asked for are gaps in the curves and crosses on the upper edge;
-    of amplitudes at the floor the upper limit is drawn. `modes` are angular frequencies of normal
-    modes, marked by ticks, `within` is the range of driving frequencies that is drawn, in units of
-    omega_mx; `labels` stand for the detectors' names, `line` is for `Axes.plot`. Returns the
-    curves.
+    (Paper: freqres.) Points that missed the accuracy asked for are gaps in the curves and crosses
+    on the upper edge; of amplitudes at the floor the upper limit is drawn. `modes` are angular
+    frequencies of normal modes, marked by ticks, `within` is the range of driving frequencies that
+    is drawn, in units of omega_mx; `labels` stand for the detectors' names, `line` is for
+    `Axes.plot`.
     """
     x = response.omega / lattice.omega_mx
     inside = ((within[0] <= x) & (x <= within[1]))[:, None]
     limit = np.where(inside, marks.upper_limits(response), np.nan)
     ax.set(yscale="log", ylabel=scales.AMPLITUDE)
-    values, good = response.amplitude, inside & known_amplitudes(response)
+    values, good = response.amplitude, inside & marks.known_amplitudes(response)
     look = {"labels": labels, "limit": limit, "within": within} | line
     return _curves(ax, response, lattice, modes, values, good, **look)
 
 
-def phase(ax, response, lattice, modes=None, labels=None, alone=True, **line):
-    """Draw the unwrapped phase with the straight lines fitted (paper: phaseres).
+def amplitude_page(shown, modes=None):
+    """Return the figure of amplitudes of (response, lattice, labels, look), a panel a regime."""
+    few = all(len(response.omega) <= style.HANDFUL for response, *_ in shown)
+    edges = EDGES[:1] + EDGES[-1:] if few else EDGES
+    reached = [
+        _regimes(response.omega / lattice.omega_mx, edges) for response, lattice, *_ in shown
+    ]
+    present = np.unique(np.concatenate(reached))
+    figure, panels = style.page(style.PAGE, 0.4 + 1.75 * len(present), nrows=len(present))
+    for regime, ax in zip(present, panels, strict=True):
+        within = edges[regime : regime + 2]
+        for (response, lattice, names, look), there in zip(shown, reached, strict=True):
+            if regime in there:
+                amplitude(ax, response, lattice, modes, within, names, **look)
+        ax.set_title("" if few else REGIMES[regime])
+        ax.set(xlabel="", ylabel="")
+    style.legend_above(panels)
+    scales.label(panels[-1].xaxis, scales.FREQUENCY)
+    figure.supylabel(scales.AMPLITUDE, fontsize="medium")
+    several = [f"({letter}) {REGIMES[n]}" for letter, n in zip("abc", present, strict=False)]
+    figure.caption = style.caption_of(amplitude) + f" {', '.join(several)}." * (len(present) > 1)
+    return figure
 
-    A line covers the points that it was fitted to; the phase velocity (`phsvel`), or without
-    positions its slope, is in the label of a curve that is alone. All else is as in `amplitude`.
+
+def _regimes(x, edges):
+    """Return the regimes between edges that frequencies in units of omega_mx reach."""
+    # An edge belongs to the regime below, the first point of all to the one above.
+    return np.unique(np.searchsorted(edges[1:-1], [np.nextafter(x[0], math.inf), *x[1:]]))
+
+
+def phase(ax, response, lattice, modes=None, labels=None, alone=True, **line):
+    """Unwrapped phase of the steady response against the driving frequency, and straight lines
+    fitted to it.
+
+    (Paper: phaseres.) A line covers the points that it was fitted to; the phase velocity
+    (`phsvel`), or without positions its slope, is in the label of a curve that is `alone`. All else
+    is as in `amplitude`.
     """
     x = response.omega / lattice.omega_mx
     good = (response.converged_reason > 0)[:, None] & np.isfinite(response.phase)
@@ -99,6 +119,16 @@ def phase(ax, response, lattice, modes=None, labels=None, alone=True, **line):
         ax.plot(ends[:, d], y, label=fit, **look)
         fit = None
     return drawn
+
+
+def _fitted_ends(response, x, good):
+    """Return the first and the last point that each line was fitted to; NaN where there is none."""
+    if response.phase_used_min is not None:
+        return np.array([response.phase_used_min, response.phase_used_max])
+    # before format version 3
+    window = (response.phase_fit_min < x) & (x < response.phase_fit_max)
+    columns = [x[window & known] for known in good.T]
+    return np.transpose([c[[0, -1]] if c.size else [np.nan] * 2 for c in columns])
 
 
 def _number(response, lattice, name, d):
@@ -125,7 +155,9 @@ def _fits(response, lattice, names):
 
 
 def delay(ax, response, lattice, modes=None, d=0):
-    """Draw a detector's group delay, a grey band where the axis is linear; return the curve."""
+    r"""Group delay $-d \arg A / d\omega$ of the steady response; the axis is linear in the grey
+    band, up to the median, and logarithmic beyond.
+    """
     values = response.delay[:, [d]] * lattice.omega_mx
     good = (response.converged_reason > 0)[:, None] & np.isfinite(values)
     middle = float(f"{np.median(np.abs(values[good])):.1g}") if good.any() else 0.0
@@ -133,7 +165,28 @@ def delay(ax, response, lattice, modes=None, d=0):
     ax.axhspan(-(middle or 1.0), middle or 1.0, color="#e4e4e4", zorder=0, label="linear axis")
     scales.label(ax.yaxis, scales.DELAY)
     ax.set_title(style.ball_names(response.detector)[d])
-    return _curves(ax, response, lattice, modes, values, good, [None])
+    return _curves(ax, response, lattice, modes, values, good)
+
+
+def force(ax, response, lattice, modes=None):
+    """Magnitude of the force that drives the wall."""
+    ax.set(yscale="log", ylabel="force $|F|$ (drive = 1)")
+    values = np.abs(response.force)
+    return _curves(ax, response, lattice, modes, values, known_force(response))
+
+
+def force_phase(ax, response, lattice, modes=None):
+    r"""Its phase, from 0 (a spring) to $\pi$ (a mass)."""
+    values = np.abs(np.angle(response.force))  # rounding alone could make it negative
+    ax.set(ylim=(-0.1 * math.pi, 1.1 * math.pi), ylabel="phase of $F$")
+    ax.set_yticks([0, math.pi / 2, math.pi], ["0", r"$\pi/2$", r"$\pi$"])
+    return _curves(ax, response, lattice, modes, values, known_force(response))
+
+
+def power(ax, response, lattice, modes=None):
+    """Mean power that the wall puts in, which dashpots dissipate."""
+    ax.set(yscale="log", ylabel=r"power $\frac{1}{2}\omega\,\mathrm{Im}\,F$")
+    return _curves(ax, response, lattice, modes, response.power, known_power(response))
 
 
 def known_force(response):
@@ -149,89 +202,24 @@ def known_power(response):
     return good & (bound <= LINES * response.power)
 
 
-def force(ax, response, lattice, modes=None):
-    """Draw the magnitude of the force that drives the wall; return the curve."""
-    ax.set(yscale="log", ylabel="force $|F|$ (drive = 1)")
-    values, good = np.abs(response.force), known_force(response)
-    return _curves(ax, response, lattice, modes, values, good, [None])
-
-
-def force_phase(ax, response, lattice, modes=None):
-    """Draw the phase of that force, from 0 (a spring) to pi (a mass); return the curve."""
-    values = np.abs(np.angle(response.force))  # rounding alone could make it negative
-    ax.set(ylim=(-0.1 * math.pi, 1.1 * math.pi), ylabel="phase of $F$")
-    ax.set_yticks([0, math.pi / 2, math.pi], ["0", r"$\pi/2$", r"$\pi$"])
-    return _curves(ax, response, lattice, modes, values, known_force(response), [None])
-
-
-def power(ax, response, lattice, modes=None):
-    """Draw the mean power that the wall puts in and dashpots dissipate; return the curve."""
-    ax.set(yscale="log", ylabel=r"power $\frac{1}{2}\omega\,\mathrm{Im}\,F$")
-    values, good = response.power, known_power(response)
-    return _curves(ax, response, lattice, modes, values, good, [None])
-
-
-def _curves(
-    ax, response, lattice, modes, values, good, labels=None, limit=None, within=(0.0, math.inf),
-    **line,
-):  # fmt: skip
+def _curves(ax, response, lattice, modes, values, good, labels=(None,), limit=None, **line):
     """Draw curves over the driving frequency; mark failed and unresolved points, normal modes."""
     x, unresolved = response.omega / lattice.omega_mx, response.unresolved
-    scales.frequencies(ax, x, within=within)
     labels = labels or style.ball_names(response.detector)
     if len(x) <= style.FEW and 2 * np.count_nonzero(unresolved) >= len(unresolved):
         # few points that lines do not join rightly are points alone
         line = {"linestyle": "none", "clip_on": False} | line
-    drawn = marks.curves(ax, x, values, good, labels, limit, **line)
-    marks.failed(ax, x[response.converged_reason <= 0])
+    drawn = marks.over_frequency(ax, response, lattice, values, good, labels, limit, **line)
     marks.unresolved(ax, 0.5 * (x[1:] + x[:-1])[unresolved])
     if modes is not None:
         marks.modes(ax, np.asarray(modes) / lattice.omega_mx)
     return drawn
 
 
-def _fitted_ends(response, x, good):
-    """Return the first and the last point that each line was fitted to; NaN where there is none."""
-    if response.phase_used_min is not None:
-        return np.array([response.phase_used_min, response.phase_used_max])
-    # before format version 3
-    window = (response.phase_fit_min < x) & (x < response.phase_fit_max)
-    columns = [x[window & known] for known in good.T]
-    return np.transpose([c[[0, -1]] if c.size else [np.nan] * 2 for c in columns])
-
-
-def amplitude_page(shown, modes=None):
-    """Return the figure of amplitudes of (response, lattice, labels, look), a panel a regime."""
-    few = all(len(response.omega) <= style.HANDFUL for response, *_ in shown)
-    edges = EDGES[:1] + EDGES[-1:] if few else EDGES
-    reached = [
-        _regimes(response.omega / lattice.omega_mx, edges) for response, lattice, *_ in shown
-    ]
-    present = np.unique(np.concatenate(reached))
-    figure, panels = style.page(style.PAGE, 0.4 + 1.75 * len(present), nrows=len(present))
-    for regime, ax in zip(present, panels, strict=True):
-        drawn, within = [], edges[regime : regime + 2]
-        for (response, lattice, names, look), there in zip(shown, reached, strict=True):
-            if regime in there:
-                drawn += amplitude(ax, response, lattice, modes, within, names, **look)
-        ax.set_title("" if few else REGIMES[regime])
-        ax.set(xlabel="", ylabel="")
-    style.legend_above(panels)
-    scales.label(panels[-1].xaxis, scales.FREQUENCY)
-    figure.supylabel(scales.AMPLITUDE, fontsize="medium")
-    several = [f"({letter}) {REGIMES[n]}" for letter, n in zip("abc", present, strict=False)]
-    figure.caption = CAPTIONS["amplitude"] + f" {', '.join(several)}." * (len(present) > 1)
-    return figure
-
-
-def _regimes(x, edges):
-    """Return the regimes between edges that frequencies in units of omega_mx reach."""
-    # An edge belongs to the regime below, the first point of all to the one above.
-    return np.unique(np.searchsorted(edges[1:-1], [np.nextafter(x[0], math.inf), *x[1:]]))
-
-
 def over(results, labels):
     """Yield amplitudes and phases: line styles tell results apart, colours several detectors."""
+    from pgran.draw import together
+
     shown, alone = [], all(len(result.response.detector) == 1 for result in results)
     for number, (result, label) in enumerate(zip(results, labels, strict=True)):
         balls, look = style.ball_names(result.response.detector), together.curve_look(number)
@@ -245,7 +233,7 @@ def over(results, labels):
             phase(ax, response, lattice, labels=names, alone=False, **look)
 
     yield "amplitude", amplitude_page(shown)
-    figure = style.single(phases, CAPTIONS["phase"])
+    figure = style.single(phases, style.caption_of(phase))
     for response, lattice, names, _ in shown:
         figure.caption += _fits(response, lattice, names)
     yield "phase", figure

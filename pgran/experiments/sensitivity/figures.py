@@ -24,8 +24,7 @@ def figures(result, **_):
             "at the circle"
         )
         yield "flux", maps.page(seen, found, panels, "power lost at a ball", text)
-    caption = r"Share of the bonds whose logarithmic derivative $|d\,\ln|A| / d\,\ln k|$ is larger."
-    figure = style.single(distribution, caption, record=found, medium=medium)
+    figure = style.single(distribution, record=found, medium=medium)
     maps.note_failed(figure, found)
     yield "distribution", figure
     if medium.group == "lattice":
@@ -54,7 +53,6 @@ def derivatives(ax, record, medium, at, d=0):
     """Draw d ln|A| / d ln k of the bonds that are kept (`most`), as `Map.on_bonds` draws numbers.
 
     The medium has positions; `at` and `d` are the numbers of the frequency and of the detector.
-    Returns what a colour bar is of.
     """
     seen = Map(medium, record.detector[d])
     drawn, unit = seen.on_bonds(ax, record.on_bonds(at, d))
@@ -70,9 +68,9 @@ def _words(seen, record, at, d):
 def flux(ax, record, medium, at):
     """Draw the mean power through all bonds at one frequency, and where it is lost.
 
-    The loss of a bond counts half at each of its balls. The title says what the broadest wedge is,
-    a number beside the detector what the broadest there is. Returns the balls, coloured in units of
-    the largest loss that is seen.
+    The loss of a bond counts half at each of its balls, whose colours are in units of the largest
+    that is seen. The title says what the broadest wedge is, a number beside the detector what the
+    broadest there is.
     """
     seen = Map(medium, record.detector[0])
     lost = 0.5 * seen.summed(record.loss[at])
@@ -86,7 +84,7 @@ def flux(ax, record, medium, at):
 
 
 def distribution(ax, record, medium):
-    """Draw the share of all bonds, or of those kept, that change |A| by more; return the curves."""
+    r"""Share of the bonds whose logarithmic derivative $|d\,\ln|A| / d\,\ln k|$ is larger."""
     drawn, total = [], record.flux.shape[1]
     names = style.ball_names(record.detector)
     for n in few(record):

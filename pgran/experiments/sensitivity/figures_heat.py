@@ -16,19 +16,11 @@ from pgran.store.si import SI
 QUARTER = 25.0  # %, what the heater of the experiment changed
 CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
 AWAY = scales.Quantity("distance of the warm ball from the detector", unit="m")
-CAPTIONS = {
-    "distribution": "Share of balls warmed, or bonds cut, that change the amplitude by more, at "
-    "all frequencies; dotted: a quarter.",
-    "over_frequency": "Median and largest change against the driving frequency; dotted: a quarter.",
-    "growths": "Change of |A| by one ball that grows, median and 90 % quantile over balls, "
-    "frequencies and detectors; a point of each for a result, against the growth in units of the "
-    "mean overlap of its contacts.",
-    "often": "Share of these cases in which |A| changes by a quarter or more.",
-    "over_distance": "Change against the distance of the warm ball from the detector, at all "
-    "frequencies; lines: medians of as many balls each.",
-}
+LABELS = {"warmed": "ball warmed", "frozen": "neighbours frozen", "cut": "bond cut"}
 LINES = "-", "--", ":"  # of what is changed
 GROUPS = 8  # of balls by their distance
+
+errors = captions.amplitudes
 
 
 def figures(result, **_):
@@ -36,29 +28,26 @@ def figures(result, **_):
     heat, medium = result.heat, result.medium
     if not maps.few(heat):
         return
-    if medium.has_places and heat.warmed is not None:
-        yield from maps.pages("warmed", warm, heat, medium, "change of |A|", _warmth)
-    if medium.has_places and heat.frozen is not None:
-        draw, words = partial(warm, name="frozen"), partial(_warmth, frozen=True)
-        yield from maps.pages("frozen", draw, heat, medium, "change of |A|", words)
-    if medium.has_places and heat.cut is not None:
-        yield from maps.pages("cut", cut, heat, medium, "change in dB", _words)
+    for name in LABELS if medium.has_places else ():
+        if getattr(heat, name) is not None:
+            draw, what = partial(warm, name=name), "change of |A|"
+            if name == "cut":
+                draw, what = cut, "change in dB"
+            words = partial(_words, name=name)
+            yield from maps.pages(name, draw, heat, medium, what, words)
     several = bool(np.count_nonzero(heat.converged_reason > 0) > maps.MOST)
     apart = heat.growth is not None and heat.warmed is not None and medium.has_places
     panels = [distribution] + [over_frequency] * several + [over_distance] * apart
-    figure = style.stack(panels, CAPTIONS, heat=heat, medium=medium)
+    figure = style.stack(panels, heat=heat, medium=medium)
     maps.note_failed(figure, heat)
     yield "changes", figure
-
-
-errors = captions.amplitudes
 
 
 def change(heat, name):
     """Return by what part amplitudes change, |A'| / |A| - 1 and |A' - A| / |A|, NaN if not known.
 
     That is where the error is larger than the change, and than a thousandth of the amplitude.
-    `name`: `warmed` or `cut`.
+    `name`: of LABELS.
     """
     before, after = heat.displacement[..., None], getattr(heat, name)
     size = np.abs(before)
@@ -69,24 +58,17 @@ def change(heat, name):
     return np.where(known, grown, np.nan), np.where(known, moved, np.nan)
 
 
-def moduli(heat):
-    """Return by what part |A| changes with each ball warm, NaN if that is not known."""
-    return np.abs(change(heat, "warmed")[0])
-
-
-def distances(heat, medium):
-    """Return how far each warm ball is from each detector, by the nearest images, (nd, balls)."""
-    position, box = medium.position, getattr(medium, "box", None)
-    periods = np.full(position.shape[1], np.inf) if box is None else np.where(box > 0, box, np.inf)
-    away = position[heat.ball] - position[heat.detector[:, 0]][:, None]
-    vectors, _ = nearest_images(away.reshape(-1, position.shape[1]), periods)
-    return np.linalg.norm(vectors, axis=1).reshape(away.shape[:2])
+def changes(heat):
+    """Yield what is changed, the changes in %, shape (nw, nd, count)."""
+    for name, label in LABELS.items():
+        if getattr(heat, name) is not None:
+            yield label, 100 * change(heat, name)[1]
 
 
 def warm(ax, record, medium, at, d=0, name="warmed"):
     """Draw by how much each ball, warm, changes |A|, in units of the largest change that is seen.
 
-    Grey: balls that were not warmed. Of the record what has this `name`. Returns the balls.
+    Grey: balls that were not warmed. Of the record what has this `name`.
     """
     seen = Map(medium, record.detector[d])
     values = np.full(len(seen.network.held), np.nan)
@@ -101,7 +83,7 @@ def cut(ax, record, medium, at, d=0):
     """Draw by how many dB each bond, cut, changes |A|, in units of the largest that is seen.
 
     What falls by more than 60 dB is drawn as if by 60. Where bonds are too many to be seen, each
-    ball has the mean of its bonds. Returns what a colour bar is of.
+    ball has the mean of its bonds.
     """
     seen = Map(medium, record.detector[d])
     drawn, unit = seen.on_bonds(ax, decibels(record, at, d), mean=True)
@@ -109,47 +91,37 @@ def cut(ax, record, medium, at, d=0):
     return drawn
 
 
-def _words(seen, record, at, d):
-    """Return what the map of the bonds cut shows, in words."""
-    return f"each bond cut alone; {seen.words(decibels(record, at, d), '|A| grows', 'mean')}"
-
-
-def _warmth(seen, record, *_, frozen=False):
-    """Return what the map of warm balls shows, or of those between frozen neighbours, in words."""
-    how = f"bonds {record.factor:g} times as stiff"
-    if record.growth is not None:
-        rest = "all at a new rest" if record.relaxed and not frozen else "neighbours frozen"
-        how = f"radii larger by up to {scales.length(np.abs(record.growth).max(), seen.medium)}"
-        how += f", {rest}"
-    elif not np.isfinite(record.factor):
-        how = f"overlaps larger by {record.overlap:g}"
-    return f"each ball warmed alone, {how}; red: |A| grows; blue, with a bar: it falls"
-
-
 def decibels(heat, at, d):
     """Return what each bond that is cut changes in dB, no less than -60; see `cut`."""
     return 20 * np.log10(np.maximum(1 + change(heat, "cut")[0][at, d], 1e-3))
 
 
-def changes(heat):
-    """Yield what is changed, the changes in %, shape (nw, nd, count)."""
-    labels = {"warmed": "ball warmed", "frozen": "neighbours frozen", "cut": "bond cut"}
-    for name, label in labels.items():
-        if getattr(heat, name) is not None:
-            yield label, 100 * change(heat, name)[1]
+def _words(seen, record, at, d, name):
+    """Return what a map shows, in words: bonds cut, or balls that are warm, and how."""
+    if name == "cut":
+        return f"each bond cut alone; {seen.words(decibels(record, at, d), '|A| grows', 'mean')}"
+    how = f"bonds {record.factor:g} times as stiff"
+    if record.growth is not None:
+        rest = "all at a new rest" if record.relaxed and name == "warmed" else LABELS["frozen"]
+        growth = scales.said(np.abs(record.growth).max(), seen.medium, scales.PLACES[0], 3)
+        how = f"radii larger by up to {growth}, {rest}"
+    elif not np.isfinite(record.factor):
+        how = f"overlaps larger by {record.overlap:g}"
+    return f"each ball warmed alone, {how}; red: |A| grows; blue, with a bar: it falls"
 
 
 def distribution(ax, heat, medium=None):
-    """Draw the share of balls or bonds that change |A| by more, a quarter marked; return curves."""
-    drawn = []
-    for n, (label, moved) in enumerate(changes(heat)):
-        for d, name in enumerate(style.ball_names(heat.detector)):
+    """Share of balls warmed, or bonds cut, that change the amplitude by more, at all frequencies;
+    dotted: a quarter.
+    """
+    drawn, names = [], style.ball_names(heat.detector)
+    for line, (label, moved) in zip(LINES, changes(heat), strict=False):
+        for d, (name, shade) in enumerate(zip(names, style.colours(len(names)), strict=True)):
             size, share = maps.shares(moved[:, d])
             quarter = np.count_nonzero(size >= QUARTER) / max(len(size), 1)
-            words = f"{name}, " * (len(heat.detector) > 1)
+            words = f"{name}, " * (len(names) > 1)
             words += f"{label}: {100 * quarter:.3g} % of cases above a quarter"
-            look = {"linestyle": LINES[n], "label": words}
-            drawn += ax.plot(size, share, color=style.colours(len(heat.detector))[d], **look)
+            drawn += ax.plot(size, share, color=shade, linestyle=line, label=words)
     ax.axvline(QUARTER, color=style.UNRESOLVED, linestyle=":")
     ax.set(xlabel=CHANGE, ylabel="share of cases with more")
     maps.logarithmic(ax, drawn, QUARTER)
@@ -157,9 +129,8 @@ def distribution(ax, heat, medium=None):
 
 
 def over_frequency(ax, heat, medium):
-    """Draw median and largest change over the driving frequency; return the curves."""
+    """Median and largest change against the driving frequency; dotted: a quarter."""
     x, drawn = heat.omega / medium.omega_mx, []
-    shades = style.colours(len(heat.detector))
     looks = zip(LINES, ("full", "none", "left"), strict=True)
     for (line, fill), (label, moved) in zip(looks, changes(heat), strict=False):
         known = np.ma.masked_invalid(moved)
@@ -170,9 +141,8 @@ def over_frequency(ax, heat, medium):
             if len(x) <= style.FEW:  # where a line would be a polygon
                 look = {"linestyle": "none", "marker": mark, "fillstyle": fill, "markersize": 3}
                 look["markeredgewidth"] = 0.5
-            for d, shade in enumerate(shades):
-                text = [f"{what}, {label}"] if d == 0 else None
-                drawn += marks.curves(ax, x, y[:, d], good[:, d], text, color=shade, **look)
+            names = [f"{what}, {label}"] + [None] * (len(heat.detector) - 1)
+            drawn += marks.curves(ax, x, y, good, names, **look)
     ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":")
     ax.set(yscale="log", ylabel=CHANGE)
     scales.frequencies(ax, x)
@@ -181,7 +151,9 @@ def over_frequency(ax, heat, medium):
 
 
 def over_distance(ax, heat, medium):
-    """Draw changes over the distance of balls and detector, and medians; return these curves."""
+    """Change against the distance of the warm ball from the detector, at all frequencies; lines:
+    medians of as many balls each.
+    """
     moved, drawn = 100 * change(heat, "warmed")[1], []
     names, shades = style.ball_names(heat.detector), style.colours(len(heat.detector))
     looks = zip(names, shades, distances(heat, medium), strict=True)
@@ -199,6 +171,15 @@ def over_distance(ax, heat, medium):
     return drawn
 
 
+def distances(heat, medium):
+    """Return how far each warm ball is from each detector, by the nearest images, (nd, balls)."""
+    position, box = medium.position, getattr(medium, "box", None)
+    periods = np.full(position.shape[1], np.inf) if box is None else np.where(box > 0, box, np.inf)
+    away = position[heat.ball] - position[heat.detector[:, 0]][:, None]
+    vectors, _ = nearest_images(away.reshape(-1, position.shape[1]), periods)
+    return np.linalg.norm(vectors, axis=1).reshape(away.shape[:2])
+
+
 def growths(results):
     """Return the page of several results: what one warm ball changes, how often, by its growth."""
     by_growth = {}
@@ -209,33 +190,46 @@ def growths(results):
                 "several results of the scene sensitivity are drawn together if balls of packings "
                 "grow in them (-heat_radius, -heat_kelvin)"
             )
-        growth = heat.growth.mean()
+        growth, moved = heat.growth.mean(), np.abs(change(heat, "warmed")[0])
         name = f"radii grow by {growth:.3g}{SI.of(result).say('m', growth)}"
-        known = moduli(heat)[np.isfinite(moduli(heat))]
+        known = moved[np.isfinite(moved)]
         if not known.size:
             continue
-        point = heat.growth_overlap.mean(), *np.quantile(known, [0.5, 0.9]), np.mean(known >= 0.25)
-        by_growth.setdefault(name, []).append(100 * np.array(point) / [100, 1, 1, 1])
-    panels = [partial(_growths, columns=which) for which in ((1, 2), (3,))]
-    figure = style.stack(panels, [CAPTIONS["growths"], CAPTIONS["often"]], points=by_growth)
+        shares = *np.quantile(known, [0.5, 0.9]), np.mean(known >= 0.25)
+        point = heat.growth_overlap.mean(), *(100 * share for share in shares)
+        by_growth.setdefault(name, []).append(point)
+    figure = style.stack([sizes, often], points=by_growth)
     if failed := sum(result.heat.failures for result in results):
         style.note(figure, f"NOT IN IT: {counted(failed, 'case')} that failed")
     return figure
 
 
-def _growths(ax, points, columns):
-    """Draw columns of rows of points: of growth, then in % median, 90 % quantile, share."""
+def sizes(ax, points):
+    """Change of |A| by one ball that grows, median and 90 % quantile over balls, frequencies and
+    detectors; a point of each for a result, against the growth in units of the mean overlap of its
+    contacts.
+    """
+    drawn = _by_growth(ax, points, {1: None, 2: "90 % quantile"})
+    ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":", label="a quarter")
+    ax.set(yscale="log", ylabel=r"change of $|A|$, median (%)")
+    return drawn
+
+
+def often(ax, points):
+    """Share of these cases in which |A| changes by a quarter or more."""
+    drawn = _by_growth(ax, points, {3: None})
+    ax.set(ylim=(0, None), ylabel="a quarter or more (% of cases)")
+    return drawn
+
+
+def _by_growth(ax, points, columns):
+    """Draw columns of rows of points, by growth; labelled by the name of the rows, or as said."""
     drawn = []
     for name, shade, mark in zip(points, style.colours(len(points)), cycle("o^sdvx")):
-        rows = np.array(sorted(map(tuple, points[name])))
-        for column, fill in zip(columns, ("full", "none"), strict=False):
-            label = "90 % quantile" if column == 2 else name
+        rows = np.array(sorted(points[name]))
+        for (column, label), fill in zip(columns.items(), ("full", "none"), strict=False):
             look = {"color": shade, "marker": mark, "fillstyle": fill, "clip_on": False}
+            label = label or name
             drawn += ax.plot(*rows[:, [0, column]].T, linestyle="none", label=label, **look)
-    ax.set(xscale="log", yscale="log", xlabel="growth / mean overlap of contacts")
-    if 1 in columns:
-        ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":", label="a quarter")
-        ax.set(ylabel=r"change of $|A|$, median (%)")
-    else:
-        ax.set(yscale="linear", ylim=(0, None), ylabel="a quarter or more (% of cases)")
+    ax.set(xscale="log", xlabel="growth / mean overlap of contacts")
     return drawn

@@ -1,5 +1,7 @@
 """The figures of a structure factor: maps with the dispersion; speeds, and where waves end."""
 
+from functools import partial
+
 import numpy as np
 from matplotlib.colors import LogNorm
 
@@ -7,16 +9,7 @@ from pgran.draw import captions, marks, scales, style
 
 SMALLEST = 1e-3  # of the largest S: what is less looks the same
 WAVE_NUMBER = scales.Quantity("wave number $q$", "(1/length)")
-OMEGA = scales.Quantity("frequency", r"$\Omega/\omega_{mx}$", "Hz", 1)
-MAPS = (
-    r"Dynamic structure factor $S(q, \omega)$ in units of the largest of each map, and the "
-    r"oscillators fitted to it: dots $\Omega(q)$, bars from $\Omega-\Gamma/2$ to $\Omega+\Gamma/2$."
-)
-CAPTIONS = (
-    r"Phase velocity $\Omega/q$ of the oscillators.",
-    r"Their $\pi\Gamma/\Omega$ by scattering; vertical lines: where it is 1, and waves end (Ioffe "
-    "and Regel).",
-)
+OMEGA = scales.ANY_FREQUENCY._replace(own=r"$\Omega/\omega_{mx}$")
 
 
 def figures(result, **_):
@@ -24,16 +17,17 @@ def figures(result, **_):
     record, medium = result.structure, result.medium
     good = record.converged_reason > 0
     style.check_any(record.structure_factor[good], "frequency that was solved")
-    pages = {"structure": style.grid(len(record.branch), 1, 2.0, lambda rows: 2.6)[0]}
-    for b, ax in enumerate(pages["structure"].panels):
-        drawn = spectra(ax, record, medium, b)
+    both = {"record": record, "medium": medium}
+    maps = [partial(spectra, **both, branch=b) for b in range(len(record.branch))]
+    page, _ = style.grid(maps, lambda rows: 2.6, rows=1, narrowest=2.0)
+    for ax in page.panels:
         ax.label_outer()
-    bar = {"label": r"$S(q,\omega)$ / largest", "aspect": 30}
-    pages["structure"].colorbar(drawn, ax=list(pages["structure"].panels), **bar)
-    pages["structure"].caption = MAPS
+    drawn, bar = page.panels[0].collections[0], {"label": r"$S(q,\omega)$ / largest"}
+    page.colorbar(drawn, ax=list(page.panels), aspect=30, **bar)
+    page.caption = style.caption_of(spectra)
+    pages = {"structure": page}
     if np.isfinite(record.frequency).any():
-        both = {"record": record, "medium": medium}
-        pages["dispersion"] = style.stack([speed, scattering], CAPTIONS, **both)
+        pages["dispersion"] = style.stack([speed, scattering], **both)
     for name, figure in pages.items():
         if record.failures:
             style.note(figure, f"{record.failures} of {len(good)} frequencies failed")
@@ -47,7 +41,9 @@ def errors(record, _):
 
 
 def spectra(ax, record, medium, branch=0):
-    """Draw S(q, omega) of one branch as a map with the fitted oscillators; return the map."""
+    r"""Dynamic structure factor $S(q, \omega)$ in units of the largest of each map, and the
+    oscillators fitted to it: dots $\Omega(q)$, bars from $\Omega-\Gamma/2$ to $\Omega+\Gamma/2$.
+    """
     values = np.where(record.converged_reason > 0, record.structure_factor[:, branch].T, np.nan).T
     values = np.maximum(values / np.nanmax(values), SMALLEST)  # NaN stays
     omega, look = record.omega / medium.omega_mx, {"norm": LogNorm(SMALLEST, 1.0)}
@@ -70,7 +66,7 @@ def _edges(x):
 
 
 def speed(ax, record, medium):
-    """Draw the phase velocity against the wave number, a curve a branch; return the curves."""
+    r"""Phase velocity $\Omega/q$ of the oscillators against the wave number."""
     scales.label(ax.xaxis, WAVE_NUMBER)
     ax.set_ylabel(r"$\Omega/q$ (length $\sqrt{k/m}$)")
     error = record.frequency_error / record.q
@@ -78,7 +74,9 @@ def speed(ax, record, medium):
 
 
 def scattering(ax, record, medium):
-    """Draw pi Gamma / Omega against Omega, a curve a branch, and where it is 1; return these."""
+    r"""Their $\pi\Gamma/\Omega$ by scattering; vertical lines: where it is 1, and waves end (Ioffe
+    and Regel).
+    """
     rates = record.scattering, record.scattering_error
     ratio, error = (np.pi * rate / record.frequency for rate in rates)
     scales.label(ax.xaxis, OMEGA)
