@@ -15,7 +15,6 @@ from pgran.errors import DONE, FileError, InputError, PgranError
 from pgran.medium.base import as_result
 from pgran.store.file import is_result
 from pgran.store.paths import check_seal, whole
-from pgran.store.text import tables
 
 if TYPE_CHECKING:
     from pgran.medium.lattice import Lattice
@@ -132,6 +131,8 @@ def run(words):
 
 def _write_tables(result, output):
     """Write the tables of a result, each to a file of its own, with all digits."""
+    from pgran.store.text import tables
+
     paths = []
     for table, columns in tables(result).items():
         path = output.with_stem("-".join(filter(None, [output.stem, table])))

@@ -12,12 +12,9 @@ from pgran.command.export import blaming_edits, result_of
 from pgran.command.words import Parser, positive
 from pgran.draw import pages as figures
 from pgran.errors import DONE, FileError, InputError
-from pgran.medium.dissipation import FIELDS
-from pgran.medium.labels import labels_of
 from pgran.run.numbers import number, numbers
 from pgran.store.estimate import counted
 from pgran.store.si import FREQUENCIES_IN, LARGEST, SI, SMALLEST
-from pgran.store.text import read_measured
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -150,6 +147,8 @@ def _make(results, names, units, measured, width, labels=None, **over):
         raise InputError("-plot_unit, -plot_scale: are about -plot_with, which is missing")
     data = None if measured is None else _measured(results, units, measured, unit, scale)
     if several:
+        from pgran.medium.labels import labels_of
+
         names = labels or (names if points else labels_of(results, names))
         made = figures.compare(results, names, units, width)
     else:
@@ -163,6 +162,8 @@ def _make(results, names, units, measured, width, labels=None, **over):
 
 def _measured(results, units, path, unit, scale):
     """Return what was measured, its frequencies in the results' unit, its amplitudes scaled."""
+    from pgran.store.text import read_measured
+
     if unit not in FREQUENCIES_IN:
         raise InputError(f"-plot_unit {unit}: choose {', '.join(FREQUENCIES_IN)}")
     if not (math.isfinite(scale) and scale > 0):
@@ -249,6 +250,8 @@ def run(words):
 def _pair(*results):
     """Return the number of the one that is drawn, and what is laid over: its name, its record."""
     import numpy as np  # late: `pgran --help` loads nothing
+
+    from pgran.medium.dissipation import FIELDS
 
     for place, drawn in enumerate(results if len(results) == 2 else ()):
         over = results[1 - place]

@@ -18,8 +18,8 @@ def page(lattice, detectors):
     chain, (nx, ny) = len(lattice.shape) == 1, (*lattice.shape, 1)[:2]
     ratio, plane = (ny + 1) / (nx + 1), tuple(detectors[0][2:])
     width = style.wide(style.PAGE if chain or nx > 40 or ratio < 0.5 else style.COLUMN)
-    height = 0.35 if chain else min(max((width - 0.8) * ratio, 0.8), TALLEST)
-    figure, (ax,) = style.page(width, height + 1.0)
+    height = 0.35 if chain else min(max((width - 0.7) * ratio, 0.8), TALLEST)
+    figure, (ax,) = style.page(width, height + 1.1)
     drawn = bonds(ax, lattice, detectors)
     beyond = np.max(drawn.get_array()) > drawn.norm.vmax * (1 + 1e-9)
     look = {"aspect": 9 * width, "pad": 0.02, "extend": "max" if beyond else "neither"}
@@ -28,25 +28,11 @@ def page(lattice, detectors):
     bar.outline.set_linewidth(0.6)
     ax.set_title(f"plane $z$ = {plane[0]}" if plane else "")
     style.legend_above([ax])
-    _fit(figure, ax)
     figure.caption = (
         "The lattice: a line is a bond, the darker the larger its constant $K$; hatched: walls at "
         "rest; green: what drives; dots: detectors."
     )
     return figure
-
-
-def _fit(figure, ax):
-    """Make a page as high as its panel of equal axes needs, which is as wide as there is room."""
-    figure.get_layout_engine().execute(figure)
-    room, used = ax.get_position(original=True), ax.get_position()
-    wider = room.width / used.width  # of a panel that is as high as there is room
-    higher = min(wider * used.height * figure.get_figheight(), TALLEST) / figure.get_figheight()
-    figure.grow((higher - room.height) * figure.get_figheight())
-    for _ in range(2):  # only a second layout knows how high the panel is
-        figure.get_layout_engine().execute(figure)
-    band = figure.get_figheight() - figure.get_tightbbox().y1  # above all that is drawn
-    figure.grow(min(WALL - band, 0.0))
 
 
 def bonds(ax, lattice, detectors):
