@@ -201,7 +201,7 @@ def test_a_logarithmic_axis_has_numbers(low, high):
     figure = Figure()
     ax = figure.subplots()
     ax.set(yscale="log", ylim=(low, high))
-    scales.number_logs(figure)
+    scales.finish(figure)
     seen = [y for y in ax.get_yticks() if low <= y <= high]
     assert 2 <= len(seen) <= 9
     assert all(ax.yaxis.get_major_formatter().format_ticks(seen))

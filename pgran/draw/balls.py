@@ -19,15 +19,16 @@ FAINT = 0.02  # of the largest: no arrow for what is smaller
 ARROWS = "arrows: displacements, scaled in each panel to the largest"
 
 
-def scale_of(values):
+def scale_of(values, few=False):
     """Return the number that is one end of the colours, 1 if nothing moves.
 
-    That is the largest, or where many balls move their 99th percentile: a few of them, between soft
-    bonds, move many times as far as the others, which would be pale.
+    That is the largest, of a `few` or where a few balls move, else their 99th percentile: single
+    ones, between soft bonds, move many times as far as the others, which would be pale.
     """
     size = np.abs(values)
     moving = size[size > STILL * size.max()]
-    return float(np.quantile(moving, 0.99) if moving.size > MANY else moving.max(initial=0)) or 1.0
+    few = few or moving.size <= MANY
+    return float(moving.max(initial=0.0) if few else np.quantile(moving, 0.99)) or 1.0
 
 
 def beyond(drawn):
@@ -36,13 +37,13 @@ def beyond(drawn):
     return values is not None and np.abs(values).max() > 1
 
 
-def motion(ax, medium, values, drive=None, detectors=(), few_beyond=False, of=None):
-    """Draw displacements `values` in units of the largest, or of the drive's where that is larger.
+def motion(ax, medium, values, drive=None, detectors=(), of=None):
+    """Draw displacements `values` in units of the largest (`scale_of`), or of a larger drive's.
 
     Without a drive all that is held is at rest. Of three dimensions the plane of the first
-    detector, or of the ball that moves farthest, in the motion `of` if that is another one. With
-    `few_beyond` a few of many numbers may be beyond the colours (`scale_of`). Returns the image,
-    the line of a chain, or arrows or balls of a network; the unit; and the plane in words.
+    detector, or of the ball that moves farthest, in the motion `of` if that is another one. Returns
+    the image, the line of a chain, or arrows or balls of a network; the unit; and the plane in
+    words.
     """
     of = values if of is None else of
     if medium.group == "network":
@@ -51,15 +52,20 @@ def motion(ax, medium, values, drive=None, detectors=(), few_beyond=False, of=No
             moved = everywhere(medium, of[None])[0, :, : medium.built.axes]
             ball = np.linalg.norm(moved, axis=1).argmax()
         view = View(medium, ball, drive is not None)
-        drawn, unit = arrows(ax, medium, view, values, drive or 0.0, few_beyond)
+        if medium.built.axes > 1:
+            drawn, unit = arrows(ax, medium, view, values, drive or 0.0)
+        else:
+            moves = everywhere(medium, values[None], [drive or 0.0])[0, :, 0]
+            unit = scale_of(moves[view.seen])
+            view.frame(ax)
+            drawn = view.coloured(ax, moves / unit, view.seen)
         xy, plane = view.xy[[each for (each,) in detectors if view.seen[each]]], view.plane
     else:
         largest = np.unravel_index(np.abs(of).argmax(), of.shape)
         through = tuple((detectors[0] if len(detectors) else largest)[2:])
         values = values[(..., *through)]
         chain, moves = values.ndim == 1, np.append(values, drive or 0.0)
-        few = few_beyond and not chain
-        unit = scale_of(moves) if few else float(np.abs(moves).max()) or 1.0
+        unit = scale_of(moves, few=chain)
         drawn = image(ax, values / unit, (drive or 0.0) / unit)
         if drive is not None:
             bonds.source(ax, medium, values.shape[0] - (0.0 if chain else 0.5), through)
@@ -93,27 +99,23 @@ def image(ax, values, wall=0.0):
     return drawn
 
 
-def arrows(ax, network, view, values, drive=0.0, few_beyond=False):
-    """Draw how all balls of a network move: vectors as arrows, numbers as colours of -1 to 1.
+def arrows(ax, network, view, values, drive=0.0):
+    """Draw how all balls of a network move, by arrows in units of the largest displacement of all.
 
-    The largest displacement of all is the unit. Rotations in a plane are such colours too, of
-    radius times angle. Returns the balls, or the arrows if there are no colours, and the unit.
+    Rotations in a plane are colours of -1 to 1, of radius times angle. Returns the balls, or the
+    arrows if there are no colours, and the unit.
     """
     moves, axes = everywhere(network, values[None], [drive])[0], network.built.axes
-    longest = max(1.5 * view.spacing, 0.14 * math.sqrt(math.prod(view.extent))) if axes > 1 else 0.0
-    view.frame(ax, 0.3 * longest)
+    vectors = moves[:, :axes]
     turned = moves[:, axes:] * (network.radius[:, None] if network.built.turns else 1.0)
-    numbers = moves if axes == 1 else turned if turned.shape[1] == 1 else None
-    size = np.linalg.norm(moves[:, :axes], axis=1)
-    unit = max(size.max(), 0.0 if numbers is None else np.abs(numbers).max()) or 1.0
-    if few_beyond and axes == 1:
-        unit = scale_of(moves[view.seen])
-    coloured = numbers is not None
-    drawn = view.coloured(ax, numbers[:, 0] / unit, view.seen) if coloured else view.draw(ax)
-    if axes == 1:
-        return drawn, unit
+    coloured = turned.shape[1] == 1
+    size = np.linalg.norm(vectors, axis=1)
+    unit = max(size.max(), np.abs(turned).max() if coloured else 0.0) or 1.0
+    longest = max(1.5 * view.spacing, 0.14 * math.sqrt(math.prod(view.extent)))
     chosen = view.seen & (size > FAINT * unit)
-    tips = longest * in_space(moves[:, :axes])[chosen][:, view.axes] / unit
+    tips = longest * in_space(vectors)[chosen][:, view.axes] / unit
+    view.frame(ax, 0.3 * longest, view.xy[chosen] + 1.05 * tips)  # with their heads
+    drawn = view.coloured(ax, turned[:, 0] / unit, view.seen) if coloured else view.draw(ax)
     view.ground(ax, 1.5)
     thick = min(max(0.1 * view.points(ax), 0.5), 1.2) / 72
     look = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "inches", "width": thick}
@@ -121,9 +123,8 @@ def arrows(ax, network, view, values, drive=0.0, few_beyond=False):
     look |= {"clip_on": False, "in_layout": False}
     if coloured:  # seen on dark balls, too
         look |= {"edgecolor": "white", "linewidth": 0.3}
-    view.frame(ax, 0.3 * longest, view.xy[chosen] + 1.05 * tips)  # with their heads
-    drawn_arrows = ax.quiver(*view.xy[chosen].T, *tips.T, **look)
-    return (drawn if coloured else drawn_arrows), unit
+    moving = ax.quiver(*view.xy[chosen].T, *tips.T, **look)
+    return drawn if coloured else moving, unit
 
 
 def motions(medium, draws, caption, *more, driven=False):

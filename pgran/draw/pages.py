@@ -41,10 +41,10 @@ def _finished(made, results, si):
     from pgran.draw import captions, scales, style
 
     unit_of = getattr(results[0], "medium", getattr(results[0], "likeness", None))
+    if unit_of is not None and not unit_of.omega_mx:
+        unit_of = None
     for name, figure in made.items():
-        if unit_of is not None and unit_of.omega_mx:
-            scales.in_si(figure, unit_of)
-        scales.number_logs(figure)
+        scales.finish(figure, unit_of)
         style.letter(figure.panels)
         figure.caption = captions.complete(figure, results, si, name in captions.SAMPLES)
     return made

@@ -65,7 +65,7 @@ def frequency(x, medium, digits=4):
 
 
 def label(axis, quantity):
-    """Name an axis by what it shows, which `in_si` finds on it."""
+    """Name an axis by what it shows, which `finish` finds on it."""
     axis.quantity = quantity
     axis.set_label_text(f"{quantity.name} {quantity.own}".strip())
 
@@ -141,13 +141,19 @@ class Ticks(ticker.Locator):
         return np.asarray(ticks) / self.factor
 
 
-def in_si(figure, medium):
-    """Give the axes of a figure SI units where these are known; axes of a quantity are alike."""
+def finish(figure, medium=None):
+    """Give the axes of a figure SI units where these are known; axes of a quantity are alike.
+
+    Logarithmic axes that have hardly any numbers get more than powers of ten.
+    """
     shown = {}
     for axis in [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]:
         quantity = getattr(axis, "quantity", None)
-        if quantity and quantity.unit and style.units().factor(quantity.unit) is not None:
+        usual = isinstance(axis.get_major_formatter(), ticker.LogFormatterSciNotation)
+        if medium is not None and quantity and unit_of(quantity, medium, 1.0)[1] != quantity.own:
             shown.setdefault(quantity, []).append(axis)
+        elif axis.get_scale() == "log" and usual and narrow(axis):
+            convert(axis, 1.0)
     for quantity, alike in shown.items():
         largest = max(np.abs(axis.get_view_interval()).max() for axis in alike)
         factor, unit = unit_of(quantity, medium, largest)
@@ -155,14 +161,6 @@ def in_si(figure, medium):
             convert(axis, factor)
             if axis.get_label_text():  # else the panel below has the label
                 axis.set_label_text(f"{quantity.name} ({unit})")
-
-
-def number_logs(figure):
-    """Put more than powers of ten beside logarithmic axes that have hardly any."""
-    for axis in [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]:
-        usual = isinstance(axis.get_major_formatter(), ticker.LogFormatterSciNotation)
-        if axis.get_scale() == "log" and usual and narrow(axis):
-            convert(axis, 1.0)
 
 
 def narrow(axis):

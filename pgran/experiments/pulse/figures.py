@@ -85,7 +85,7 @@ def field(ax, signals, lattice, number):
     time, where = signals.field_time[number], signals.detector
     wall = np.interp(time, signals.time, signals.wall)
     values = signals.field[number]
-    drawn, unit, plane = balls.motion(ax, lattice, values, wall, where, few_beyond=True)
+    drawn, unit, plane = balls.motion(ax, lattice, values, wall, where)
     largest = f"{'99 % within' if balls.beyond(drawn) else 'largest'} {unit:.2g}"
     moment = scales.said(time * lattice.omega_mx, lattice, scales.TIME_IN_WORDS)
     style.title(ax, rf"$t$ = {moment}", largest, plane)
