@@ -1,10 +1,11 @@
 """Figures of ensembles and of the noise of their responses, read off the axes."""
 
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from types import SimpleNamespace
 
+import figure_results
 import numpy as np
 import pytest
 from figure_reading import draw, labels, lay_out, legend, note, page_of
@@ -15,8 +16,6 @@ import pgran
 from pgran.draw import pages as figures
 from pgran.errors import FileError
 from pgran.experiments.ensemble import figures as ensemble
-
-statistics = ensemble
 from pgran.medium.base import record_of
 
 LATTICE = {"shape": (5, 4), "mass": 0.25}
@@ -128,7 +127,7 @@ def test_the_floor_of_few_samples_is_no_coherent_part():
             assert "single samples" in made.caption
 
 
-@pytest.mark.parametrize("scale", [0.01, 1.0, 1000.0])
+@pytest.mark.parametrize("scale", [0.01, 1000.0])
 def test_delays_are_linear_up_to_the_power_of_ten_next_to_their_median(scale):
     found = found_of("response", "curves")
     found = replace(found, delay=scale * found.delay)
@@ -171,9 +170,7 @@ def test_samples_that_are_left_out_are_not_drawn_and_said():
         figures.make(result_of(nothing))
 
 
-@pytest.mark.parametrize(
-    ("of", "name", "d"), [("pulse", "arrival", 1), ("modes", "above", None), ("pulse", "decay", 0)]
-)
+@pytest.mark.parametrize(("of", "name", "d"), [("pulse", "arrival", 1), ("modes", "above", None)])
 def test_histograms_count_every_sample_that_has_the_number(of, name, d):
     found = found_of(of)
     values = getattr(found, name).copy()
@@ -215,6 +212,48 @@ def test_modes_of_a_sample():
         assert middle[n] == pytest.approx(np.median(found.participation.ravel()[inside]))
 
 
+def test_transport_is_points_with_their_errors():
+    result = figure_results.ensemble()
+    found, unit = result.transport, result.medium.omega_mx
+    x, bars = found.omega / unit, {}
+    chosen = [float(n.split()[0]) for n in labels(draw(ensemble.profile, found, result.medium))]
+    assert len(chosen) == ensemble.SHOWN
+    at = [np.abs(x - omega).argmin() for omega in chosen]
+    bars["profile"] = found.depth, found.ln_amplitude[at], found.ln_amplitude_error[at]
+    bars["wave_number"] = x, found.wave_number[None], found.wave_number_error[None]
+    bars["band_delay"] = found.depth, found.band_delay * unit, found.band_delay_error * unit
+    falls = [(name, by) for name, (_, by) in ensemble.FALLS.items()]
+    falls = [(name, by) for name, by in falls if np.isfinite(getattr(found, name)).any()]
+    lengths = ([by * getattr(found, n + end) for n, by in falls] for end in ("", "_error"))
+    bars["length"] = x, *lengths
+    for name, (x, values, errors) in bars.items():
+        drawn = draw(getattr(ensemble, name), found, result.medium).containers
+        for points, value, error in zip(drawn, values, errors, strict=True):
+            line, _, (marks,) = points.lines
+            assert line.get_linestyle() == "None"
+            assert line.get_xdata() == pytest.approx(x)
+            assert line.get_ydata() == pytest.approx(value, nan_ok=True)
+            ends = [path.vertices[:, 1] for path in marks.get_paths()]
+            low, high = np.transpose([end if len(end) == 2 else [np.nan] * 2 for end in ends])
+            assert high - low == pytest.approx(2 * error, nan_ok=True)
+        looks = {f"{p.lines[0].get_marker()}{p.lines[0].get_color()}" for p in drawn}
+        assert len(looks) == len(values)
+        if name == "band_delay":
+            hollow = [str(points.lines[0].get_markerfacecolor()) == "none" for points in drawn]
+            np.testing.assert_array_equal(hollow, ~found.propagates)
+    ax = draw(ensemble.length, found, result.medium)
+    assert ax.get_xlim() == pytest.approx((found.omega / unit)[[0, -1]])
+    assert [found.first_mode / unit] * 2 in [list(line.get_xdata()) for line in ax.get_lines()]
+
+
+def test_transport_of_older_files_has_no_delays():
+    result = figure_results.ensemble()
+    new = [f.name for f in fields(result.transport)
+           if f.metadata.get("since", 1) > 4 or f.default is None]  # fmt: skip
+    older = figure_results.result_of(replace(result.transport, **dict.fromkeys(new)))
+    assert len(figures.make(older)["transport"].axes) == 2
+
+
 def test_noise_beside_its_laws():
     """Correlations are drawn where half widths are known, which takes 80 samples."""
     windows, few = [(0.6, 1.1), (0.9, 1.5)], found_of("response", "curves")
@@ -232,13 +271,13 @@ def test_noise_beside_its_laws():
         titles = [ax.get_title() + ax.get_title("left") for ax in figure.axes]
         assert len(titles) == 4
         assert rf"{1.5 / UNIT} $\omega_{{mx}}$, ball (4, 0)" in titles[3]
-    ax = draw(statistics.intensity, found, 1, 0)
+    ax = draw(ensemble.intensity, found, 1, 0)
     law, measured, rest = ax.get_lines()
     bins = np.diff(found.edge)
     assert np.sum(law.get_ydata() * bins) == pytest.approx(1 - np.exp(-8))
     for line, value in ((measured, found.density[1, 0, 0]), (rest, found.density[1, 0, 1])):
         assert np.array_equal(line.get_ydata(), np.where(value > 0, value, np.nan), equal_nan=True)
-    ax = draw(statistics.correlation, found, 1, 0)
+    ax = draw(ensemble.correlation, found, 1, 0)
     law, measured, *_ = ax.get_lines()
     assert np.interp(1.0, law.get_xdata(), law.get_ydata()) == pytest.approx(0.5, abs=1e-3)
     x = measured.get_xdata()

@@ -1,7 +1,6 @@
-"""Figures as they are printed: 85 and 170 mm wide, in grey, with captions."""
+"""Figures as they are printed: a column wide, or two, in grey, with captions."""
 
-from dataclasses import fields, replace
-from functools import cache
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -30,13 +29,11 @@ from samples import random_lattice
 import pgran
 from pgran.draw import bonds, scales, style, view
 from pgran.draw import pages as figures
-from pgran.draw.captions import formulas
 from pgran.draw.marks import points as errorbars
-from pgran.experiments.accuracy import figures as accuracy
-from pgran.experiments.ensemble import figures as transport
 from pgran.experiments.modes import figures as modes
 from pgran.experiments.response import figures as response
 from pgran.medium.crystals import crystal
+from pgran.medium.base import record_of
 
 FINE = np.linspace(0.1, 1.1, 201)
 LARGER = random_lattice((12, 11), seed=5, mass=0.25)
@@ -50,13 +47,12 @@ def sensitivity():
     return result
 
 
-def network(driven=True):
+def network():
     """Modes of a network, and its response at two balls."""
     net = crystal("triangular", (4, 3), periodic=(False, True))
     result = result_of(pgran.find_modes(net, shapes=True), net)
-    if driven:
-        omegas, balls = np.linspace(0.1, 1.5, 201) * net.omega_mx, net.free[:2]
-        result.response = pgran.sweep(net, omegas, balls, method="points")
+    omegas, balls = np.linspace(0.1, 1.5, 201) * net.omega_mx, net.free[:2]
+    result.response = pgran.sweep(net, omegas, balls, method="points")
     return result
 
 
@@ -70,11 +66,10 @@ def bare_signals():
     return result_of(replace(listen().pulse, **unknown))
 
 
-# results, and which figures they have
+# results, and which figures they have; of those in CROWDED the texts on paper are looked at
 SCENES = {
-    "response": (lambda: respond(lattice=LARGER, detectors=[(4, 5)]),
+    "response": (lambda: respond(lattice=LARGER, detectors=[(4, 5), (8, 5)]),
                  "amplitude phase delay wall bonds"),
-    "two balls": (lambda: respond(detectors=[(1, 1), (3, 0)]), "amplitude phase delay wall bonds"),
     "continuum": (respond_box, "exactpl"),
     "modes": (lambda: find_modes((12, 11)), "shapes participation density reduced"),
     "chain": (lambda: find_modes((30,)), "shapes participation density reduced"),
@@ -84,7 +79,6 @@ SCENES = {
                    "shapes participation resonances"),
     "few modes": (lambda: find_modes((2, 1)), "shapes participation"),
     "density": (count_modes, "staircase density reduced"),
-    "one frequency": (lambda: project([0.6], (6, 5)), "onefreq"),
     "few frequencies": (lambda: project([0.5, 0.6, 0.7], (2, 1)), "onefreq"),
     "dominant": (lambda: project(FINE, (6, 5)), "maxci"),
     "single modes": (lambda: project(FINE, (3, 1)), "cifreq"),
@@ -95,8 +89,6 @@ SCENES = {
     "green": (lambda: result_of(pgran.green(LARGER, UNIT * SWEEP[::9], [(4, 5), (8, 5)]), LARGER),
               "green"),
     "network": (network, "shapes participation density reduced network amplitude phase delay wall"),
-    "modes of a network": (lambda: network(driven=False),
-                           "shapes participation density reduced network"),
     "structure": (waves, "network structure dispersion"),
     "ensemble": (ensemble, "amplitude delay velocity intensity transport"),
     "diffusion": (diffusing, "diffusion"),
@@ -104,13 +96,51 @@ SCENES = {
     "one configuration": (lambda: compare([1e-3]), "front"),
     "equally accurate": (lambda: compare([1e-9, 2e-9, 1.5e-9]), "front"),
 }  # fmt: skip
-BESIDE = ("response", "modes of a network")  # those of several panels beside each other
-PRINTED = [(name, 85) for name in SCENES if name != BESIDE[1]] + [(name, 170) for name in BESIDE]
+CROWDED = (
+    *("response", "continuum", "modes", "damped", "density", "single modes", "relaxation"),
+    *("pulse", "sensitivity", "green", "network", "structure", "ensemble", "equally accurate"),
+)
 
 
-@cache
-def result_of_scene(name):
-    return SCENES[name][0]()
+@pytest.mark.parametrize("scene", SCENES)
+def test_nothing_overlaps_on_paper(scene):
+    """Texts are apart, within the figure, and 7 or 8 points high; the legend is a small part.
+
+    Axes end where data do; several panels have letters. What is shown depends on what there is.
+    """
+    result = SCENES[scene][0]()
+    over = {"modes": UNIT * np.linspace(0.1, 1.2, 300)} if result.scene == "response" else {}
+    made = figures.make(result, width=85, **over)
+    assert list(made) == SCENES[scene][1].split()
+    for name, figure in made.items():
+        assert figure.get_figwidth() == pytest.approx(85 / 25.4)
+        assert "NOT" not in note(figure)
+        _check_panels(figure)
+        if scene in CROWDED:
+            _check_texts(name, figure)
+
+
+def test_results_over_each_other_on_two_columns():
+    names = [f"-lattice_damping {beta}" for beta in (0.001, 0.003, 0.01)]
+    for shown in ([respond()] * 3, [find_modes((6, 5))] * 3):
+        for name, figure in figures.compare(shown, names, width=170).items():
+            _check_texts(name, figure, part=0.2)
+
+
+def _check_texts(name, figure, part=0.15):
+    seen, paper = texts(figure), figure.bbox.padded(1.5)
+    for text, box in seen:
+        assert paper.contains(*box.min), (name, text)
+        assert paper.contains(*box.max), (name, text)
+    for (one, box), (other, beside) in combinations(seen, 2):
+        shared = box.padded(-1).intersection(box.padded(-1), beside.padded(-1))
+        assert shared is None or min(shared.size) <= 0, (name, one, other)
+    for ax in figure.axes:
+        if ax.get_legend() and name != "network":  # which explains its symbols
+            box = ax.get_legend().get_window_extent()
+            assert box.width * box.height < part * figure.bbox.width * figure.bbox.height
+        sizes = {tick.label1.get_size() for tick in ax.xaxis.get_major_ticks()}
+        assert sizes | {ax.xaxis.label.get_size(), ax._left_title.get_size()} <= {7, 8}
 
 
 def texts(figure):
@@ -128,39 +158,6 @@ def texts(figure):
     with style.applied():
         seen = [text for text in shown if text.get_visible() and text.get_text().strip()]
         return [(text.get_text(), text.get_window_extent()) for text in seen]
-
-
-@pytest.mark.parametrize(("scene", "width"), PRINTED)
-def test_nothing_overlaps_on_paper(scene, width):
-    """Texts are apart, within the figure, and 7 or 8 points high; the legend is a small part.
-
-    Axes end where data do; several panels have letters. What is shown depends on what there is.
-    """
-    result = result_of_scene(scene)
-    over = {"modes": UNIT * np.linspace(0.1, 1.2, 300)} if result.scene == "response" else {}
-    made = figures.make(result, width=width, **over)
-    assert list(made) == SCENES[scene][1].split()
-    for name, figure in made.items():
-        assert figure.get_figwidth() == pytest.approx(width / 25.4)
-        assert "NOT" not in note(figure)
-        _check_panels(figure)
-        _check_texts(name, figure)
-
-
-def _check_texts(name, figure, part=0.15):
-    seen, paper = texts(figure), figure.bbox.padded(1.5)
-    for text, box in seen:
-        assert paper.contains(*box.min), (name, text)
-        assert paper.contains(*box.max), (name, text)
-    for (one, box), (other, beside) in combinations(seen, 2):
-        shared = box.padded(-1).intersection(box.padded(-1), beside.padded(-1))
-        assert shared is None or min(shared.size) <= 0, (name, one, other)
-    for ax in figure.axes:
-        if ax.get_legend() and name != "network":  # which explains its symbols
-            box = ax.get_legend().get_window_extent()
-            assert box.width * box.height < part * figure.bbox.width * figure.bbox.height
-        sizes = {tick.label1.get_size() for tick in ax.xaxis.get_major_ticks()}
-        assert sizes | {ax.xaxis.label.get_size(), ax._left_title.get_size()} <= {7, 8}
 
 
 def _check_panels(figure):
@@ -211,19 +208,15 @@ def test_a_logarithmic_axis_has_numbers(low, high):
 
 
 def test_few_points_that_are_no_curve_are_points():
-    few = respond(SWEEP[::20])
-    (line,) = curves(draw(response.amplitude, few.response, few.lattice))
-    assert line.get_linestyle() == "-"  # these are resolved
-    few.response.line_error[1:] = 1.0
     (ax,) = page_of(respond([0.2, 0.6, 1.1]), "amplitude").axes  # one panel, points inside
     assert ax.get_xlim() == pytest.approx((0.155, 1.145))
-    for panel in (response.amplitude, response.phase, response.force, response.power):
-        (line,) = curves(draw(panel, few.response, few.lattice))
-        assert (line.get_linestyle(), line.get_marker()) == ("None", ".")
-    whole = respond()
-    whole.response.line_error[1:] = 1.0
-    (line,) = curves(draw(response.amplitude, whole.response, whole.lattice))
-    assert line.get_linestyle() == "-"
+    few, whole = respond(SWEEP[::20]), respond()
+    for result, resolved, joined in ((few, 1, 1), (few, 0, 0), (whole, 0, 1)):
+        result.response.line_error[1:] = 1.0 - resolved
+        for panel in (response.amplitude, response.phase, response.force, response.power):
+            (line,) = curves(draw(panel, result.response, result.lattice))
+            assert line.get_linestyle() == ("-" if joined else "None")
+            assert joined or line.get_marker() == "."
 
 
 def test_signs_are_seen_in_grey_and_a_wall_is_marked_where_it_is_driven():
@@ -232,22 +225,20 @@ def test_signs_are_seen_in_grey_and_a_wall_is_marked_where_it_is_driven():
     assert np.all(np.diff(grey[:51]) > 0)
     assert np.all(np.diff(grey[50:]) < 0)
     assert np.all((grey[::-1] - grey)[:25] > 0.1)
-    found, pulse = find_modes((6, 5)), listen()
+    found = find_modes((6, 5))
     ax = draw(modes.shape, found.modes, found.lattice, 3)
     assert not lines(ax, color=style.DRIVEN)  # walls are at rest
     assert ax.images[0].get_cmap() is style.SIGNED
     (bars,) = lines(ax, label="negative")
     shown = np.argwhere(ax.images[0].get_array().T < -view.BARRED)
     assert np.array_equal(np.transpose(bars.get_data()), shown)
-    ax = page_of(pulse, "field").panels[0]
-    (wall,) = lines(ax, color=style.DRIVEN)
+    (wall,) = lines(page_of(listen(), "field").panels[0], color=style.DRIVEN)
     assert list(wall.get_xdata()) == [3.5, 3.5]
 
 
 @pytest.mark.parametrize(("shape", "count"), [((6,), 1), ((4, 3), 3), ((4, 3, 5), 3)])
 def test_walls_at_rest_are_hatched_and_no_bonds(shape, count):
-    lattice = random_lattice(shape)
-    shown = pgran.medium.record.record_of(lattice)
+    shown = record_of(random_lattice(shape))
     ax = draw(bonds.bonds, shown, np.zeros((1, len(shape)), dtype=int))
     walls = [patch for patch in ax.patches if patch.get_hatch()]
     assert len(walls) == count
@@ -260,80 +251,8 @@ def test_walls_at_rest_are_hatched_and_no_bonds(shape, count):
         assert low - 1e-9 <= y < y + height <= high + 1e-9
 
 
-def test_equally_accurate_configurations_are_bars_of_their_run_times():
-    result = compare([1e-9, 2e-9, 1.5e-9, 1e-9, np.nan])
-    study = result.accuracy
-    bars = draw(accuracy.times, study).patches
-    assert [bar.get_width() for bar in bars] == [1, 2, 3, 4]
-    assert bars[3].get_facecolor()[:3] == (1, 1, 1)  # failed
-    (ax,) = figures.make(result)["front"].axes
-    told = [text.get_text() for text in ax.get_yticklabels()]
-    assert told == list(map(formulas, study.label[:4]))
-    assert r"errors at most $2\times10^{-9}$" in ax.get_xlabel()
-    (ax,) = figures.make(compare([1e-9, 2e-8]))["front"].axes
-    assert ax.get_yscale() == "log"
-
-
-def test_transport_is_points_with_their_errors():
-    result = ensemble()
-    found, unit = result.transport, result.medium.omega_mx
-    ax = draw(transport.profile, found, result.medium)
-    omegas = [float(name.split()[0]) for name in labels(ax)]
-    at = [np.abs(found.omega / unit - omega).argmin() for omega in omegas]
-    x = found.omega / unit
-    falls = [(name, by) for name, (_, by) in transport.FALLS.items()]
-    falls = [(name, by) for name, by in falls if np.isfinite(getattr(found, name)).any()]
-    expected = {
-        "profile": (found.depth, found.ln_amplitude[at], found.ln_amplitude_error[at]),
-        "length": (x, *([by * getattr(found, n + e) for n, by in falls] for e in ("", "_error"))),
-        "wave_number": (x, found.wave_number[None], found.wave_number_error[None]),
-        "band_delay": (found.depth, found.band_delay * unit, found.band_delay_error * unit),
-    }
-    assert len(at) == transport.SHOWN
-    for name, (x, values, errors) in expected.items():
-        ax = draw(getattr(transport, name), found, result.medium)
-        for points, value, error in zip(ax.containers, values, errors, strict=True):
-            line, _, (bars,) = points.lines
-            assert line.get_linestyle() == "None"
-            assert line.get_xdata() == pytest.approx(x)
-            assert line.get_ydata() == pytest.approx(value, nan_ok=True)
-            ends = [path.vertices[:, 1] for path in bars.get_paths()]
-            low, high = np.transpose([end if len(end) == 2 else [np.nan] * 2 for end in ends])
-            assert high - low == pytest.approx(2 * error, nan_ok=True)
-        looks = [(p.lines[0].get_marker(), p.lines[0].get_color()) for p in ax.containers]
-        assert len(set(map(str, looks))) == len(values)
-        if name == "band_delay":
-            hollow = [
-                str(points.lines[0].get_markerfacecolor()) == "none" for points in ax.containers
-            ]
-            np.testing.assert_array_equal(hollow, ~found.propagates)
-        if name == "length":
-            assert ax.get_xlim() == pytest.approx((found.omega / unit)[[0, -1]])
-            verticals = [list(line.get_xdata()) for line in ax.get_lines()]
-            assert [found.first_mode / unit] * 2 in verticals
-
-
 @pytest.mark.filterwarnings("error")
 def test_rows_of_which_nothing_is_known_are_empty():
     values = np.array([[np.nan, np.nan], [1.0, np.nan]])
     drawn = draw(errorbars, [1.0, 2.0], values, 0 * values, "ab", xerr=0.1).containers
     assert [len(row.lines[0].get_xdata()) for row in drawn] == [0, 2]
-
-
-def test_transport_of_older_files_has_no_delays():
-    result = ensemble()
-    new = [
-        f.name
-        for f in fields(result.transport)
-        if f.metadata.get("since", 1) > 4 or f.default is None
-    ]
-    older = result_of(replace(result.transport, **dict.fromkeys(new)))
-    assert len(figures.make(older)["transport"].axes) == 2
-
-
-@pytest.mark.parametrize("width", [85, 170])
-def test_results_over_each_other_on_paper(width):
-    names = [f"-lattice_damping {beta}" for beta in (0.001, 0.003, 0.01)]
-    for shown in ([respond()] * 3, [find_modes((6, 5))] * 3):
-        for name, figure in figures.compare(shown, names, width=width).items():
-            _check_texts(name, figure, part=0.2)

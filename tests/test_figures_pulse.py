@@ -8,8 +8,8 @@ from figure_reading import curves, draw, gaps, labels, legend, lines, page_of
 from figure_results import UNIT, listen, respond
 from samples import random_lattice
 
-from pgran.draw import balls, style
 from pgran.draw import pages as figures
+from pgran.draw import style
 from pgran.errors import FileError
 from pgran.experiments.pulse import figures as pulse
 
@@ -37,11 +37,8 @@ def test_signals_above_each_other_by_distance(method):
     assert at == pytest.approx(np.array(expected) * UNIT)
     shown.error[:, 1] = np.inf
     assert len(lines(draw(pulse.seismogram, shown, result.lattice), color="black")) == 2
-
-
-def test_a_step_has_no_envelope():
-    result = listen(shape="step", width=3.0, omega=0.6)
-    assert "envelope" not in labels(draw(pulse.seismogram, result.pulse, result.lattice))
+    step = listen(shape="step", width=3.0, omega=0.6).pulse  # ends elsewhere than it began
+    assert "envelope" not in labels(draw(pulse.seismogram, step, result.lattice))
 
 
 @pytest.mark.parametrize(
@@ -75,9 +72,7 @@ def test_the_field_at_four_times(shape, sites):
     assert number == 3
 
 
-@pytest.mark.parametrize(
-    ("loud", "edge", "few"), [(1, 50, True), (20, 50, True), (40, 50, False), (1, 16, False)]
-)
+@pytest.mark.parametrize(("loud", "edge", "few"), [(20, 50, True), (40, 50, False), (1, 16, False)])
 def test_a_few_balls_that_move_far_do_not_make_a_large_field_pale(loud, edge, few):
     """Where many move, a hundredth of these are beyond the colours, and that is said."""
     result, rng = listen(), np.random.default_rng(6)
@@ -97,21 +92,7 @@ def test_a_few_balls_that_move_far_do_not_make_a_large_field_pale(loud, edge, fe
     assert bar._colorbar.extend == ("both" if few else "neither")
 
 
-def test_numbers_of_few_balls_are_scaled_to_the_largest():
-    values = np.random.default_rng(6).normal(size=(30, 30))
-    assert balls.scale_of(values) == np.abs(values).max()
-    assert balls.scale_of(0 * values) == 1.0
-
-
-def test_work_energy_and_what_damping_took():
-    result = listen(method="laplace")
-    shown, unit = result.pulse, result.lattice.mass * UNIT**2
-    drawn = draw(pulse.energy, shown, result.lattice).get_lines()
-    for line, values in zip(drawn, (shown.work, shown.energy, shown.dissipated), strict=True):
-        assert line.get_ydata() == pytest.approx(values / unit)
-
-
-@pytest.mark.parametrize("shape", ["burst", "gauss", "ricker", "step"])
+@pytest.mark.parametrize("shape", ["burst", "step"])
 def test_the_spectrum_of_a_signal_that_has_ended_is_the_steady_response(shape):
     lattice = random_lattice((4, 3), seed=5, mass=0.25, damping=0.1)
     sent = {"shape": shape, "width": 3.0, "omega": 0.6 * UNIT, "method": "laplace"}
@@ -138,10 +119,9 @@ def test_spectra_and_what_is_left_of_their_signals():
     assert not draw(pulse.spectrum, shown, result.lattice, 1).yaxis.get_visible()
 
 
-@pytest.mark.parametrize("omega", [0.6, 1.0, 1.7])
-def test_what_may_be_nothing_but_error_has_no_spectrum(omega):
+def test_what_may_be_nothing_but_error_has_no_spectrum():
     """However the error lies below its bound; three times a swing of it has one."""
-    shown = listen(method="laplace").pulse
+    shown, omega = listen(method="laplace").pulse, 1.0
     swing = np.cos(omega * shown.time)[:, None]
     for worst in (swing, np.sign(swing), np.ones_like(swing), shown.time[:, None] > 180):
         error = shown.error * worst

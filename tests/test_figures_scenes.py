@@ -11,6 +11,7 @@ from figure_results import (
     compare,
     count_modes,
     find_modes,
+    listen,
     project,
     relax,
     respond,
@@ -21,12 +22,14 @@ from matplotlib.markers import TICKUP
 from samples import uniform_lattice
 
 from pgran.draw import pages as figures
+from pgran.draw.captions import formulas
 from pgran.errors import FileError
 from pgran.experiments.accuracy import figures as accuracy
 from pgran.experiments.continuum import figures as continuum
 from pgran.experiments.modes import figures as modes
 from pgran.experiments.modes import figures_density as density
 from pgran.experiments.modes import figures_projection as projection
+from pgran.experiments.pulse import figures as pulse
 from pgran.experiments.relaxation import figures as relaxation
 from pgran.experiments.relaxation.fluctuations import power_spectrum
 from pgran.experiments.response import figures as response
@@ -42,7 +45,7 @@ def test_results_with_nothing_to_draw():
 
 
 # What each panel draws: a function of the record, x and y. Frequencies are in units of omega_mx,
-# those of the box in units of sqrt(K0/m) / Lx.
+# those of the box in units of sqrt(K0/m) / Lx, energies in units of m omega_mx^2.
 PANELS = [
     (respond, response.amplitude, lambda r: (SWEEP, r.amplitude[:, 0])),
     (respond, response.phase, lambda r: (SWEEP, r.phase[:, 0])),
@@ -59,25 +62,32 @@ PANELS = [
     (lambda: project(FINE), projection.dominant,
      lambda r: (FINE, r.mode_omega[r.dominant] / UNIT)),
     (relax, relaxation.series, lambda r: (np.arange(301), r.amplitude[0, :, 0])),
+    (lambda: listen(method="laplace"), pulse.energy,
+     lambda r: (UNIT * r.time, np.transpose([r.work, r.energy, r.dissipated]))),
 ]  # fmt: skip
+ALONE = ("continuum", "relaxation")  # panels that take no medium
 
 
 def drawn(panel, result):
     """One panel of a result in axes of its own, and the record that it shows."""
     record = getattr(result, result.scene)
-    alone = panel.__module__.split(".")[2] in ("continuum", "relaxation")
+    alone = panel.__module__.split(".")[2] in ALONE
     return draw(panel, record, *[] if alone else [result.medium]), record
 
 
 @pytest.mark.parametrize(("make", "panel", "expected"), PANELS)
 def test_curves_are_the_numbers_of_the_record(make, panel, expected):
     ax, record = drawn(panel, make())
-    (line, *_) = curves(ax) or lines(ax, color="black")
-    x, y = expected(record)
-    assert line.get_xdata() == pytest.approx(x, rel=1e-12)
-    shown = np.ma.getdata(line.get_ydata(orig=True))
-    np.testing.assert_allclose(shown, y, rtol=1e-12, atol=0)
-    assert not gaps(line) or panel in (response.force, response.force_phase, response.power)
+    x, every = expected(record)
+    for y, line in zip(np.reshape(every, (len(x), -1)).T, shown_in(ax), strict=False):
+        assert line.get_xdata() == pytest.approx(x, rel=1e-12)
+        shown = np.ma.getdata(line.get_ydata(orig=True))
+        np.testing.assert_allclose(shown, y, rtol=1e-12, atol=0)
+        assert not gaps(line) or panel in (response.force, response.force_phase, response.power)
+
+
+def shown_in(ax):
+    return curves(ax) or lines(ax, color="black") or ax.get_lines()
 
 
 FAILED = [80, 81, 83, 250]
@@ -97,8 +107,7 @@ def test_failed_points_are_crosses_and_gaps(make, panel):
         record.converged_reason[FAILED] = [-3, 0, -1, -9]
     ax, _ = drawn(panel, result)
     (line,) = curves(ax)
-    x = line.get_xdata()[FAILED]
-    assert marks(ax, "x") == pytest.approx(x)
+    assert marks(ax, "x") == pytest.approx(line.get_xdata()[FAILED])
     assert set(FAILED) <= set(gaps(line))
     assert 82 in line.get_markevery()  # has no good neighbour to be joined with: a dot
     assert "missed the accuracy asked for" in labels(ax)
@@ -204,16 +213,18 @@ def test_weyls_law_is_drawn_where_bonds_are_equal():
 
 
 def test_what_is_missing_is_said_in_every_figure():
-    for result in (find_modes(), project(FINE)):
-        group = result.scene
-        setattr(result, group, replace(getattr(result, group), count_expected=13))
-        for figure in figures.make(result).values():
-            assert note(figure).endswith("NOT ALL MODES: 12 of 13 found")
-    bare = result_of(replace(find_modes().modes, vector=None, count_certified=False))
-    assert "NOT CERTIFIED" in note(figures.make(bare)["participation"])
-    uncertain = replace(count_modes().density, certified=np.arange(30) != 4)
-    for figure in figures.make(result_of(uncertain)).values():
-        assert "NOT CERTIFIED: 1 count," in note(figure)
+    missing = {"count_expected": 13}
+    bare = {"vector": None, "count_certified": False}
+    uncertain = {"certified": np.arange(30) != 4}
+    for result, changed, said in (
+        (find_modes(), missing, "NOT ALL MODES: 12 of 13 found"),
+        (project(FINE), missing, "NOT ALL MODES: 12 of 13 found"),
+        (find_modes(), bare, "NOT CERTIFIED: some modes"),
+        (count_modes(), uncertain, "NOT CERTIFIED: 1 count,"),
+    ):
+        record = getattr(result, result.scene)
+        for figure in figures.make(result_of(replace(record, **changed))).values():
+            assert said in note(figure)
 
 
 def test_coefficients_at_the_nearest_frequency_that_is_accurate():
@@ -281,3 +292,15 @@ def test_errors_against_run_time_and_the_front():
     (steps,) = lines(ax, drawstyle="steps-post")
     assert steps.get_xdata()[:3].tolist() == [1, 1, 2]
     assert steps.get_ydata()[1:].tolist() == [1e-3, 1e-5, 1e-5]
+
+
+def test_equally_accurate_configurations_are_bars_of_their_run_times():
+    result = compare([1e-9, 2e-9, 1.5e-9, 1e-9, np.nan])
+    (ax,) = figures.make(result)["front"].axes
+    assert [bar.get_width() for bar in ax.patches] == [1, 2, 3, 4]
+    assert ax.patches[3].get_facecolor()[:3] == (1, 1, 1)  # failed
+    told = [text.get_text() for text in ax.get_yticklabels()]
+    assert told == list(map(formulas, result.accuracy.label[:4]))
+    assert r"errors at most $2\times10^{-9}$" in ax.get_xlabel()
+    (ax,) = figures.make(compare([1e-9, 2e-8]))["front"].axes
+    assert ax.get_yscale() == "log"

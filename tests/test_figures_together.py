@@ -21,13 +21,13 @@ from samples import random_lattice
 
 import pgran
 from pgran import errors
-from pgran.command.plot import labels_of
 from pgran.command.plot import run as plot
 from pgran.command.resolve import resolve
 from pgran.draw import pages as figures
 from pgran.draw import style, together
 from pgran.errors import FileError, InputError
 from pgran.experiments.relaxation.fluctuations import power_spectrum
+from pgran.medium.labels import labels_of
 from pgran.run.options import options_in, read_words
 
 BETAS = (0.001, 0.003, 0.01)
@@ -48,11 +48,9 @@ def with_options(result, words):
 @pytest.fixture(scope="module")
 def damped():
     """Responses of one lattice with three dampings."""
-    made = []
-    for beta in BETAS:
-        lattice = random_lattice((4, 3), seed=5, mass=0.25, damping=beta)
-        made.append(with_options(respond(X, lattice=lattice), f"-lattice_damping {beta}"))
-    return made
+    lattices = [random_lattice((4, 3), seed=5, mass=0.25, damping=beta) for beta in BETAS]
+    made = zip(lattices, BETAS, strict=True)
+    return [with_options(respond(X, lattice=x), f"-lattice_damping {beta}") for x, beta in made]
 
 
 @pytest.fixture(scope="module")
@@ -95,16 +93,16 @@ def test_results_that_no_short_words_tell_apart_are_named(caplog):
         assert found == ["file a.h5", "seed 8", "file c.h5"]
         assert labels_of([many, SimpleNamespace()], ["a.h5", "b.h5"]) == ["file a.h5", "by default"]
         assert labels_of(2 * [many], ["d.h5", "e.h5"]) == ["file d.h5", "file e.h5"]
-    assert "c.h5 is named by its file: no short words tell it apart: seed 7" in caplog.text
-    assert "a.h5 is named by its file: no short words tell it apart: key 0 0, key" in caplog.text
-    assert "e.h5 is named by its file: no option differs" in caplog.text
+    for said in ("c.h5 is named by its file: no short words tell it apart: seed 7",
+                 "a.h5 is named by its file: no short words tell it apart: key 0 0, key",
+                 "e.h5 is named by its file: no option differs"):  # fmt: skip
+        assert said in caplog.text
 
 
 def test_what_a_result_says_of_its_options_is_read_back():
     options = resolve(read_words(["-scene", "response", "-steady_pc_type", "lu"]))
-    found = options_in(options.text())
     plain = {k: v for k, v in options.identity().items() if not k.startswith("output_")}
-    assert found == plain
+    assert options_in(options.text()) == plain
 
 
 def test_results_of_other_units_say_so(damped, compared):
@@ -114,32 +112,28 @@ def test_results_of_other_units_say_so(damped, compared):
     made = pgran.plot([damped[0], other])
     for result, label in zip((damped[0], other), legend(made["phase"]), strict=True):
         assert label.endswith(rf", $\omega_{{mx}}$ = {result.medium.omega_mx:.6g}")
-    for figure in made.values():
-        assert "units of its own" in figure.caption
+    assert all("units of its own" in figure.caption for figure in made.values())
     assert all("units of its own" not in figure.caption for figure in compared.values())
 
 
 def test_responses_over_each_other(damped, compared):
     """Each curve has the numbers of its result, and colour, line style and label of its own."""
-    made = compared
-    assert list(made) == ["amplitude", "phase"]
+    assert list(compared) == ["amplitude", "phase"]
     expected = [rf"$\beta$ = {beta}" for beta in BETAS]
     for result, label in zip(damped, expected, strict=True):
         seen = []
-        for ax in made["amplitude"].axes:
+        for ax in compared["amplitude"].axes:
             (line,) = (line for line in curves(ax) if line.get_label() == label)
             seen.append(line.get_ydata(orig=True))
         assert np.array_equal(seen[0].data, result.response.amplitude[:, 0])
         assert sum(np.ma.count(values) for values in seen) == len(X)
-    drawn = curves(made["phase"].axes[0])
+    drawn = curves(compared["phase"].axes[0])
     for line, result, label in zip(drawn, damped, expected, strict=True):
         assert np.array_equal(line.get_ydata(), result.response.phase[:, 0])
         assert line.get_label() == label
     assert len({line.get_color() for line in drawn}) == 3
     assert len({str(line._unscaled_dash_pattern) for line in drawn}) == 3
-    assert [legend(figure) for figure in made.values()] == [expected] * 2
-    above = made["amplitude"].axes[0]
-    assert above._left_title.get_window_extent().x1 < above.get_legend().get_window_extent().x0
+    assert [legend(figure) for figure in compared.values()] == [expected] * 2
 
 
 def test_of_several_detectors_colours_are_balls_and_styles_are_results():
@@ -157,25 +151,27 @@ def test_of_several_detectors_colours_are_balls_and_styles_are_results():
 def test_labels_of_the_user(damped, monkeypatch):
     """One for each result, in their order; what is between dollars is a formula if it is one."""
     given = ["loose, $P$ = .02" + 4 * " and packed", r"$\nonsense$", "1e-5"]
-    made = pgran.plot(damped, labels=given)
     expected = [
         "loose, $P$ = .02 and packed and packed and\npacked and packed",
         r"\$\nonsense\$",
         "$10^{-5}$",
     ]
-    assert [legend(figure) for figure in made.values()] == [expected] * 2
+    for words, read in ((given, expected), (["_a", "b", "c"], [" _a", "b", "c"])):
+        made = pgran.plot(damped, labels=words)
+        assert [legend(figure) for figure in made.values()] == [read] * 2
     monkeypatch.setattr(pgran, "load", dict(zip(["a.h5", "b.h5"], damped, strict=False)).get)
     saved = saving(monkeypatch)
     plot(["a.h5", "b.h5", "-label", "one", "--label", "two"])
     assert legend(saved[0]["phase"]) == ["one", "two"]
     with pytest.raises(InputError, match="-label: 1 label for 2 results; of several over"):
         plot(["a.h5", "b.h5", "-label", "one"])
-    with pytest.raises(InputError, match="-label: 1 label for 1 result; of"):
-        pgran.plot(damped[0], labels=["one"])
-    assert legend(pgran.plot(damped, labels=["_a", "b", "c"])["phase"]) == [" _a", "b", "c"]
-    for same in (["one", "one", "b"], ["one", " ", "b"]):
-        with pytest.raises(InputError, match="a label of its own, which is not empty"):
-            pgran.plot(damped, labels=same)
+    for shown, words, said in (
+        (damped[0], ["one"], "-label: 1 label for 1 result; of"),
+        (damped, ["one", "one", "b"], "a label of its own, which is not empty"),
+        (damped, ["one", " ", "b"], "a label of its own, which is not empty"),
+    ):
+        with pytest.raises(InputError, match=said):
+            pgran.plot(shown, labels=words)
 
 
 def test_sweeps_of_different_ranges():
@@ -185,8 +181,7 @@ def test_sweeps_of_different_ranges():
     assert [labels(ax) for ax in panels] == [["low"], ["low", "high"], ["high"]]
     assert panels[1].get_xlim() == pytest.approx((0.3, 1.0), abs=0.002)
     low, high = made["phase"].axes[0].get_xlim()
-    assert low < 0.11
-    assert high > 1.19
+    assert low < 0.11 < 1.19 < high
 
 
 def test_modes_over_each_other():
@@ -246,21 +241,21 @@ def test_signals_over_each_other():
 
 
 def test_results_that_are_not_laid_over_each_other():
-    with pytest.raises(FileError, match="scene continuum are not laid over each other, but of r"):
-        figures.compare([respond_box(), respond_box()], ["a", "b"])
-    result = respond([0.5])
-    with pytest.raises(FileError, match="7 results: at most 6 are told apart"):
-        figures.compare([result] * 7, list("abcdefg"))
+    assert len(together.LINES) == len(style.COLOURS) == len(together.MARKS) == together.MOST
+    result, still = respond([0.5]), respond([0.5])
+    still.medium = replace(still.medium, omega_mx=0.0)
+    counts = SimpleNamespace(**vars(count_modes()) | {"scene": "modes"})
+    for shown, said in (
+        ([respond_box()] * 2, "scene continuum are not laid over each other, but of r"),
+        ([result] * 7, "7 results: at most 6 are told apart"),
+        ([still] * 2, "omega_mx is 0"),
+        ([counts] * 2, "normal modes alone are laid over each other"),
+        ([find_modes(interval=(50.0, 51.0))] * 2, "no modes"),
+    ):
+        with pytest.raises(FileError, match=said):
+            figures.compare(shown, list("abcdefg")[: len(shown)])
     with pytest.raises(InputError, match="over one result only"):
         pgran.plot([result, result], modes=[1.0])
-    result.medium = replace(result.medium, omega_mx=0.0)
-    with pytest.raises(FileError, match="omega_mx is 0"):
-        figures.compare([result, result], ["a", "b"])
-    counts = SimpleNamespace(**vars(count_modes()) | {"scene": "modes"})
-    with pytest.raises(FileError, match="normal modes alone are laid over each other"):
-        figures.compare([counts] * 2, ["a", "b"])
-    with pytest.raises(FileError, match="no modes"):
-        figures.compare([find_modes(interval=(50.0, 51.0))] * 2, ["a", "b"])
 
 
 @pytest.mark.parametrize("several", [False, True])
@@ -281,35 +276,29 @@ def test_what_was_measured_in_other_units(written, damped, unit, omega):
     """Frequencies in Hz where the unit of time is known; amplitudes by the volt."""
     path = written(f"Frequency;amplitude\n{0.4 / omega};4000\n", "a.csv")
     look = {"measured": path, "measured_unit": unit, "measured_scale": 5e-4}
-    figure = pgran.plot(damped[0], units=(None, 1e-3), **look)["amplitude"]
-    (dots,) = lines(figure.axes[0], marker="o")
+    made = pgran.plot(damped[0], units=(None, 1e-3), **look)
+    (dots,) = lines(made["amplitude"].axes[0], marker="o")
     assert dots.get_xydata()[0] == pytest.approx([0.2, 2.0])
-    assert r"measured (a.csv) $\times$ 0.0005." in figure.caption
-    if unit == "Hz":
-        with pytest.raises(InputError, match="-plot_unit Hz: the result has no unit of time"):
-            pgran.plot(damped[0], **look)
-        for changed, words in (
-            ({"measured_unit": "kHz"}, "-plot_unit kHz: ch"),
-            ({"measured_scale": -1}, "scale -1:"),
-            ({"measured_scale": 1e99, "measured_unit": "absolute"}, "cannot be drawn; -plot_scale"),
-            ({"measured": None}, "-plot_with, which is missing"),
-        ):
-            with pytest.raises(InputError, match=words):
-                pgran.plot(damped[0], **look | changed)
+    assert r"measured (a.csv) $\times$ 0.0005." in made["amplitude"].caption
+    assert not lines(made["phase"].axes[0], marker="o")  # none was measured
 
 
 def test_measurements_that_fit_no_figure(written, damped):
-    """Without phases that of phases is left alone."""
-    path = written("0.4 2\n", "a.csv")
-    made = pgran.plot(damped[0], measured=path)
-    assert not lines(made["phase"].axes[0], marker="o")
-    with pytest.raises(FileError, match=r"a\.csv: .* laid over responses only"):
-        pgran.plot(find_modes(), measured=path)
+    path, far = written("0.4 2\n", "a.csv"), written("40 2\n", "b.csv")
     other = respond(X, lattice=random_lattice((4, 3), seed=5, mass=1.0))
-    with pytest.raises(FileError, match=r"a\.csv: the results have different omega_mx"):
-        pgran.plot([damped[0], with_options(other, "-lattice_mass 4")], measured=path)
-    with pytest.raises(FileError, match=r"b\.csv: none of its frequencies is within"):
-        pgran.plot(damped[0], measured=written("40 2\n", "b.csv"))
+    pair = [damped[0], with_options(other, "-lattice_mass 4")]
+    for shown, look, said in (
+        (find_modes(), {}, r"a\.csv: .* laid over responses only"),
+        (pair, {}, r"a\.csv: the results have different omega_mx"),
+        (damped[0], {"measured": far}, r"b\.csv: none of its frequencies is within"),
+        (damped[0], {"measured_unit": "Hz"}, "-plot_unit Hz: the result has no unit of time"),
+        (damped[0], {"measured_unit": "kHz"}, "-plot_unit kHz: ch"),
+        (damped[0], {"measured_scale": -1}, "scale -1:"),
+        (damped[0], {"measured_scale": 1e99}, "cannot be drawn; -plot_scale"),
+        (damped[0], {"measured": None, "measured_unit": "Hz"}, "-plot_with, which is missing"),
+    ):
+        with pytest.raises((FileError, InputError), match=said):
+            pgran.plot(shown, **{"measured": path} | look)
 
 
 def test_the_command(written, damped, monkeypatch, capsys):
@@ -323,7 +312,3 @@ def test_the_command(written, damped, monkeypatch, capsys):
     assert "delay" in saved[1]
     with pytest.raises(InputError, match=r"plot: .* required: RESULT; see pgran plot --help"):
         plot([])
-
-
-def test_there_are_as_many_looks_as_results():
-    assert len(together.LINES) == len(style.COLOURS) == len(together.MARKS) == together.MOST

@@ -22,7 +22,7 @@ UNIT = "omega_mx"  # how the line that marks it is found
 FEW, HANDFUL = 100, 10  # points that are marked by dots, and that make no curve
 LETTERS = 15  # to an inch
 COLUMNS = 6  # of a legend
-LINE, LETTERED = 1 / 6, 0.25  # inches: of a line of text, and what (a) needs before a title
+LINE, BESIDE = 1 / 6, 0.75  # inches: of a line of text; for (a), a gap, and numbers of the axis
 # from -1 to 1: negative numbers are the darker ones in grey
 SIGNED = ["#041c4a", "#1f5fa8", "#8fc1e0", "#ffffff", "#fcb398", "#ee6a4a", "#d7301f"]
 SIGNED = LinearSegmentedColormap.from_list("signed", SIGNED).with_extremes(bad="#e4e4e4")
@@ -128,7 +128,7 @@ def stack(draws, caption=None, width=COLUMN, height=2.1, shared=False, **shown):
         if shared:
             ax.label_outer()
     if shared:
-        figure.get_layout_engine().set(h_pad=0.01, hspace=0)
+        figure.get_layout_engine().set(h_pad=0.02, hspace=0)
     for group in [panels] if shared else [[ax] for ax in panels]:
         legend_above(group)
     figure.align_ylabels()
@@ -224,8 +224,8 @@ def legend_above(panels):
         if width <= room:
             break
     text = first.set_title(first.get_title(loc="left"), loc="left")
-    title_ends = _size(text)[0] + LETTERED * (len(getattr(figure, "panels", ())) > 1)
-    if title_ends and (beside > 1 or title_ends + width > room):
+    title, several = _size(text)[0], len(getattr(figure, "panels", ())) > 1
+    if (title or several) and (beside > 1 or title + BESIDE + width > room):
         raised = offset_copy(first.transAxes, figure, y=LINE, units="inches")
         legend.set_bbox_to_anchor((1, 1), raised)
         legend.grown += LINE
