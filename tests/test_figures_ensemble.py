@@ -103,7 +103,7 @@ def test_samples_have_lines_where_these_are_their_curve(points):
     found = SimpleNamespace(omega=x, displacement=A[None, :, None])
     wrong = np.abs(between - 0.5 * (A[1:] + A[:-1])) / np.minimum(np.abs(A[1:]), np.abs(A[:-1]))
     good = ensemble.resolved(found, 0, 0)
-    assert good.all() == np.all(wrong < ensemble.COARSE) == (points > 30)
+    assert good.all() == np.all(wrong < ensemble.COARSE_LINE) == (points > 30)
 
 
 def test_the_floor_of_few_samples_is_no_coherent_part():
@@ -217,7 +217,7 @@ def test_transport_is_points_with_their_errors():
     found, unit = result.transport, result.medium.omega_mx
     x, bars = found.omega / unit, {}
     chosen = [float(n.split()[0]) for n in labels(draw(ensemble.profile, found, result.medium))]
-    assert len(chosen) == ensemble.SHOWN
+    assert len(chosen) == ensemble.SHOWN_CURVES
     at = [np.abs(x - omega).argmin() for omega in chosen]
     bars["profile"] = found.depth, found.ln_amplitude[at], found.ln_amplitude_error[at]
     bars["wave_number"] = x, found.wave_number[None], found.wave_number_error[None]

@@ -202,7 +202,7 @@ def test_arrows_are_displacements_of_the_modes_chosen(displacement):
         size = np.linalg.norm(moves[:, :2], axis=1)
         largest = max(size.max(), np.abs(moves[:, 2:]).max(initial=0.0))
         (arrows,) = of_kind(ax, Quiver)
-        shown = size > balls.FAINT * largest
+        shown = size > balls.LEAST_ARROW * largest
         assert np.array_equal(arrows.XY, net.position[shown])
         drawn = np.stack([arrows.U, arrows.V], axis=1)
         assert all(ax.viewLim.contains(*tip) for tip in arrows.XY + drawn)

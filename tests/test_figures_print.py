@@ -167,7 +167,7 @@ def _check_panels(figure):
             every = np.concatenate(data)
             assert every.min() <= ax.get_xlim()[0] < ax.get_xlim()[1] <= every.max()
     titles = [ax.get_title(loc="left") for ax in figure.panels]
-    letters = [f"({n})" for n in style.LETTER[: len(titles)]]
+    letters = [f"({n})" for n in style.PANEL_LETTERS[: len(titles)]]
     assert (len(titles) == 1) == (not titles[0].startswith("(a)"))
     assert len(titles) == 1 or [title[:3] for title in titles] == letters
     said = [letter for letter in letters if letter in figure.caption]

@@ -227,7 +227,7 @@ def test_failed_frequencies_are_said_and_not_drawn(compute, caplog):
 
 def test_a_few_sums_beyond_the_colours(monkeypatch):
     monkeypatch.setattr(maps, "CLEAR", 10)
-    monkeypatch.setattr(balls, "MANY", 5)
+    monkeypatch.setattr(balls, "MANY_BALLS", 5)
     figure = page_of(result_of(depends()), "sensitivity")
     *panels, bar = figure.axes
     assert all("99 % within" in title(ax) for ax in panels)

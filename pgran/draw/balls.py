@@ -11,11 +11,11 @@ from pgran.draw import bonds, style
 from pgran.draw.view import BARRED, View, bars
 from pgran.medium.space import everywhere, in_space
 
-STILL = 1e-3  # of the largest: what moves less does not count among the balls that move
-NARROWEST = 1.3  # inches of a panel
-BAR = 9.0  # to an inch: how many times as long as thick a colour bar is
-MANY = 1000  # balls that move; the colours of fewer reach to the largest
-FAINT = 0.02  # of the largest: no arrow for what is smaller
+LEAST_MOTION = 1e-3  # of the largest: what moves less does not count among the balls that move
+NARROWEST_PANEL = 1.3  # inches of a panel
+BAR_ASPECT = 9.0  # to an inch: how many times as long as thick a colour bar is
+MANY_BALLS = 1000  # balls that move; the colours of fewer reach to the largest
+LEAST_ARROW = 0.02  # of the largest: no arrow for what is smaller
 ARROWS = "arrows: displacements, scaled in each panel to the largest"
 
 
@@ -26,8 +26,8 @@ def scale_of(values, few=False):
     ones, between soft bonds, move many times as far as the others, which would be pale.
     """
     size = np.abs(values)
-    moving = size[size > STILL * size.max()]
-    few = few or moving.size <= MANY
+    moving = size[size > LEAST_MOTION * size.max()]
+    few = few or moving.size <= MANY_BALLS
     return float(moving.max(initial=0.0) if few else np.quantile(moving, 0.99)) or 1.0
 
 
@@ -112,7 +112,7 @@ def arrows(ax, network, view, values, drive=0.0):
     size = np.linalg.norm(vectors, axis=1)
     unit = max(size.max(), np.abs(turned).max() if coloured else 0.0) or 1.0
     longest = max(1.5 * view.spacing, 0.14 * math.sqrt(math.prod(view.extent)))
-    chosen = view.seen & (size > FAINT * unit)
+    chosen = view.seen & (size > LEAST_ARROW * unit)
     tips = longest * in_space(vectors)[chosen][:, view.axes] / unit
     view.frame(ax, 0.3 * longest, view.xy[chosen] + 1.05 * tips)  # with their heads
     drawn = view.coloured(ax, turned[:, 0] / unit, view.seen) if coloured else view.draw(ax)
@@ -154,7 +154,7 @@ def page(extent, draws, what="displacement"):
     """
     (nx, ny), chain = (*extent, 1)[:2], len(extent) == 1
     flat, room = chain or nx > 1.5 * ny, style.wide(style.PAGE) - 1.2
-    columns = 1 if flat else min(len(draws), max(1, int(room / NARROWEST)))
+    columns = 1 if flat else min(len(draws), max(1, int(room / NARROWEST_PANEL)))
     rows = -(-len(draws) // columns)
     width = room if flat else min(2.2, room / columns)
     height = 1.1 if chain else min(max(width * ny / nx, 0.7), 7.0 / rows)
@@ -175,7 +175,7 @@ def page(extent, draws, what="displacement"):
     elif shown[0].get_array() is not None:
         few = any(map(beyond, shown))
         bar = {"ticks": [-1, -0.5, 0, 0.5, 1], "pad": 0.1 / width, "fraction": 0.1}
-        bar |= {"aspect": BAR * rows * height, "extend": "both" if few else "neither"}
+        bar |= {"aspect": BAR_ASPECT * rows * height, "extend": "both" if few else "neither"}
         of = "99th percentile" + "\nof balls that move" * (what == "displacement")
         of = of if few else "largest"
         figure.colorbar(shown[0], ax=list(panels), label=f"{what} / {of}", **bar)

@@ -9,8 +9,8 @@ from matplotlib.ticker import MaxNLocator
 from pgran.draw import style
 
 WALL, WALL_SHADE = 0.05, "#888888"  # inches
-TALLEST = 6.5  # inches of a panel
-ROOMY = 25  # points from ball to ball; with more, all balls are drawn
+TALLEST_PANEL = 6.5  # inches of a panel
+ROOM_FOR_BALLS = 25  # points from ball to ball; with more, all balls are drawn
 
 
 def page(lattice, detectors):
@@ -18,7 +18,7 @@ def page(lattice, detectors):
     chain, (nx, ny) = len(lattice.shape) == 1, (*lattice.shape, 1)[:2]
     ratio, plane = (ny + 1) / (nx + 1), tuple(detectors[0][2:])
     width = style.wide(style.PAGE if chain or nx > 40 or ratio < 0.5 else style.COLUMN)
-    height = 0.35 if chain else min(max((width - 0.7) * ratio, 0.8), TALLEST)
+    height = 0.35 if chain else min(max((width - 0.7) * ratio, 0.8), TALLEST_PANEL)
     figure, (ax,) = style.page(width, height + 1.1)
     drawn = bonds(ax, lattice, detectors)
     beyond = np.max(drawn.get_array()) > drawn.norm.vmax * (1 + 1e-9)
@@ -65,8 +65,8 @@ def bonds(ax, lattice, detectors):
     names, shades = style.ball_names(detectors), style.colours(len(detectors))
     dot = {"marker": "o", "markeredgecolor": "white", "linestyle": "none", "clip_on": False}
     dot["markersize"] = min(max(0.7 * spacing, 5.0), 8.0)
-    if axes > 1 and spacing > ROOMY:
-        ax.plot(*np.indices((nx, ny)).reshape(2, -1), markersize=ROOMY / 2, **style.RING)
+    if axes > 1 and spacing > ROOM_FOR_BALLS:
+        ax.plot(*np.indices((nx, ny)).reshape(2, -1), markersize=ROOM_FOR_BALLS / 2, **style.RING)
     for site, name, shade in zip(detectors, names, shades, strict=True):
         if tuple(site[2:]) == plane:
             ax.plot(*(*site, 0)[:2], color=shade, label=name, **dot)

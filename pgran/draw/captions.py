@@ -15,7 +15,7 @@ from pgran.store.estimate import counted
 from pgran.store.record import ball_names
 
 SAMPLES = "bonds", "network"  # figures that show what was computed on
-NAMED = 6  # detectors
+NAMED_DETECTORS = 6  # detectors
 FORMULAS = {  # patterns, and what stands for them
     r"\b(alpha|beta|eta) (= )?": r"$\\\1$ = ",
     r"\bp (= )?(?=\d)": "$p$ = ",
@@ -71,8 +71,8 @@ def sample(result, si):
     sites = heard(result)
     if sites is not None:
         names = ball_names(sites)
-        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-        facts.append(f"heard at {', '.join(names[:NAMED])}{more}")
+        more = f" and {len(names) - NAMED_DETECTORS} more" if len(names) > NAMED_DETECTORS else ""
+        facts.append(f"heard at {', '.join(names[:NAMED_DETECTORS])}{more}")
     return list(map(formulas, facts))
 
 

@@ -7,7 +7,7 @@ from matplotlib.markers import TICKUP
 
 from pgran.draw import scales, style
 
-RUG = 1.0  # points on paper that modes are apart at least to be marked one by one
+RUG_SPACING = 1.0  # points on paper that modes are apart at least to be marked one by one
 
 
 def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
@@ -97,7 +97,7 @@ def modes(ax, x, label="normal modes"):
     low, high = ax.get_xlim()
     x = np.asarray(x)[(low <= x) & (x <= high)]
     points = 72 * ax.bbox.width / ax.figure.dpi
-    if x.size * RUG <= points:
+    if x.size * RUG_SPACING <= points:
         _mark(ax, x, 0.0, marker=TICKUP, color="black", markersize=4)
         ax.plot([], [], "k|", markersize=4, markeredgewidth=0.4, label=label)  # beside its words
         return

@@ -2,7 +2,8 @@
 
 The `figures(result, **over)` of a group's module, `pgran.figures.response` say, yields names and
 pages; `over` is what another result of the same lattice adds, `modes` or `response`. Its panels,
-`panel(ax, record, medium)`, draw into axes of the user's and return what they drew.
+`panel(ax, record, medium)`, draw into axes of the user's and return what they drew; their
+docstrings begin with their captions.
 """
 
 import contextlib

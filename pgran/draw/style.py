@@ -20,13 +20,13 @@ MM = 1 / 25.4  # in inches
 COLUMN, PAGE = 85 * MM, 170 * MM  # widths: one column of a journal, and two
 UNIT = "omega_mx"  # how the line that marks it is found
 FEW, HANDFUL = 100, 10  # points that are marked by dots, and that make no curve
-LETTERS = 15  # to an inch
-COLUMNS = 6  # of a legend
+LETTERS_AN_INCH = 15  # to an inch
+LEGEND_COLUMNS = 6  # of a legend
 LINE, BESIDE = 1 / 6, 0.75  # inches: of a line of text; for (a), a gap, and numbers of the axis
 # from -1 to 1: negative numbers are the darker ones in grey
 SIGNED = ["#041c4a", "#1f5fa8", "#8fc1e0", "#ffffff", "#fcb398", "#ee6a4a", "#d7301f"]
 SIGNED = LinearSegmentedColormap.from_list("signed", SIGNED).with_extremes(bad="#e4e4e4")
-LETTER = "abcdefghijklmnopqrstuvwxyz"  # of panels
+PANEL_LETTERS = "abcdefghijklmnopqrstuvwxyz"  # of panels
 ACCENT, FAILED, MODE, UNRESOLVED = "#0072B2", "#D00000", "#555555", "#D55E00"
 DRIVEN = "#009E73"  # what drives: walls, balls, their motion
 RING = {"marker": "o", "linestyle": "none", "markerfacecolor": "white", "markeredgecolor": "black"}
@@ -166,13 +166,13 @@ def caption_of(panel):
 def lettered(texts):
     """Return the captions of several panels as one, each with its letter."""
     texts = list(texts)
-    letters = [f"({letter}) " for letter in LETTER] if len(texts) > 1 else [""]
+    letters = [f"({letter}) " for letter in PANEL_LETTERS] if len(texts) > 1 else [""]
     return " ".join(letter + text for letter, text in zip(letters, texts, strict=False))
 
 
 def letter(panels):
     """Put (a), (b) and so on before the titles of several panels."""
-    for name, ax in zip(LETTER, panels if len(panels) > 1 else (), strict=False):
+    for name, ax in zip(PANEL_LETTERS, panels if len(panels) > 1 else (), strict=False):
         ax.set_title(f"({name}) {ax.get_title(loc='left')}".strip())
 
 
@@ -183,7 +183,7 @@ def title(ax, *facts):
 
 def above(figure, *lines, **look):
     """Write lines above all panels, under those that are there, as long as the figure is wide."""
-    width = int(LETTERS * figure.get_figwidth())
+    width = int(LETTERS_AN_INCH * figure.get_figwidth())
     wrapped = [part for line in lines for part in textwrap.wrap(line, width)]
     wrapped = min(wrapped, textwrap.wrap("; ".join(lines), width), key=len)
     figure.heading = [*figure.heading, *wrapped]
@@ -217,7 +217,7 @@ def legend_above(panels):
     before = getattr(first.get_legend(), "grown", 0.0)
     beside = first.get_subplotspec().get_gridspec().ncols  # a wider legend would push these apart
     room = figure.get_figwidth() / beside - 0.5
-    for columns in range(COLUMNS, 0, -1):
+    for columns in range(LEGEND_COLUMNS, 0, -1):
         look = {"ncol": columns, "columnspacing": 1.2, "loc": "lower right"}
         legend = first.legend(handles.values(), handles, bbox_to_anchor=(1, 1), **look)
         width, legend.grown = _size(legend)

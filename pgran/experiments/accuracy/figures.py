@@ -6,7 +6,7 @@ from matplotlib.colors import to_rgb
 from pgran.draw import captions, scales, style
 from pgran.store.estimate import counted
 
-ALIKE = 10  # errors that differ by less are one line: run times are what is to be seen
+ALIKE_ERRORS = 10  # errors that differ by less are one line: run times are what is to be seen
 MARKS = "os^Dv<>"  # 7, so that with 6 colours no two solvers of 42 look alike
 
 
@@ -15,7 +15,7 @@ def figures(result, **_):
     accuracy = result.accuracy
     drawn = np.isfinite(accuracy.error_max)
     style.check_any(np.flatnonzero(drawn), "configuration has computed anything")
-    alike = np.nanmax(accuracy.error_max) < ALIKE * np.nanmin(accuracy.error_max)
+    alike = np.nanmax(accuracy.error_max) < ALIKE_ERRORS * np.nanmin(accuracy.error_max)
     panel, height = (times, 0.9 + 0.18 * np.count_nonzero(drawn)) if alike else (front, 2.8)
     caption = (
         f"Largest relative error against run time of {accuracy.experiment}, by solvers and the "

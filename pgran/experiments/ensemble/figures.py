@@ -16,14 +16,14 @@ from pgran.store.estimate import counted
 # Numbers of a sample, by their names in the record, which declares how they are called.
 NUMBERS = {name: Quantity(*measure.quantity) for name, measure in measures().items()}
 SINGLE = " Thin lines: single samples; dots: where lines from point to point are not their curve."
-BAND, BINS = "#C8C8C8", 30
-COARSE = 0.1  # of an amplitude, that such a line may be wrong
-ROWS, NARROWEST = 5, 3.0  # of curves, before there is another column; inches of one
+BAND, MOST_BINS = "#C8C8C8", 30
+COARSE_LINE = 0.1  # of an amplitude, that such a line may be wrong
+PANEL_ROWS, NARROWEST_PANEL = 5, 3.0  # of curves, before there is another column; inches of one
 NAMES = {"whole": "computed", "incoherent": r"less $\langle A\rangle$"}  # parts of a noisy response
-WIDTHS = 6  # half widths up to which correlations are drawn
+HALF_WIDTHS = 6  # half widths up to which correlations are drawn
 LAW = {"color": "#777777", "linewidth": 1.2}
 LOOK = {"markersize": 2.5, "elinewidth": 0.6, "fillstyle": "none", "markeredgewidth": 0.6}
-SHOWN = 4  # frequencies, depths or times of transport
+SHOWN_CURVES = 4  # frequencies, depths or times of transport
 FALLS = {  # what amplitudes fall with, and how many times their lengths are drawn
     "length": ("typical", 1),
     "intensity_length": ("root mean square", 2),
@@ -95,11 +95,11 @@ def _curves_page(found, lattice, panel):
     draws = [partial(panel, found=found, lattice=lattice, detector=d) for d in order]
 
     def height(rows):
-        return 0.5 + rows * (2.4 if rows <= 3 else 1.7 if rows <= ROWS else 0.9)
+        return 0.5 + rows * (2.4 if rows <= 3 else 1.7 if rows <= PANEL_ROWS else 0.9)
 
-    figure, columns = style.grid(draws, height, ROWS, NARROWEST, sharex=True)
+    figure, columns = style.grid(draws, height, PANEL_ROWS, NARROWEST_PANEL, sharex=True)
     named = range(0, count, columns)
-    named = named if len(named) <= ROWS else named[len(named) // 2 :][:1]  # they run together
+    named = named if len(named) <= PANEL_ROWS else named[len(named) // 2 :][:1]  # they run together
     for n, (d, ax) in enumerate(zip(order, figure.panels, strict=True)):
         ax.set_title(names[d] if count > 1 else "")
         if n not in named:
@@ -174,20 +174,22 @@ def _band(ax, found, lattice, values, each, detector):
 
 
 def resolved(found, sample, detector):
-    """Return where lines from point to point are right to COARSE of a sample's amplitude, about.
+    """Return where lines from point to point are right to about COARSE_LINE of the amplitude.
 
     Without a point the line between its neighbours is four times as wrong as those to them.
     """
     x, y = found.omega, found.displacement[sample, :, detector]
     part = (x[1:-1] - x[:-2]) / (x[2:] - x[:-2])
     bend = np.abs(y[1:-1] - (1 - part) * y[:-2] - part * y[2:])
-    return np.pad(bend <= 4 * COARSE * np.abs(y[1:-1]), 1, constant_values=True)
+    return np.pad(bend <= 4 * COARSE_LINE * np.abs(y[1:-1]), 1, constant_values=True)
 
 
 def _histograms(found, name, shown):
     """Return a figure of histograms of a number, a panel each detector that is shown."""
     draws = [partial(histogram, found=found, name=name, detector=d) for d in shown]
-    figure, _ = style.grid(draws, lambda rows: min(2.0 * rows, 5.4 + 0.6 * rows), ROWS, NARROWEST)
+    figure, _ = style.grid(
+        draws, lambda rows: min(2.0 * rows, 5.4 + 0.6 * rows), PANEL_ROWS, NARROWEST_PANEL
+    )
     what = f"{NUMBERS[name].name} {NUMBERS[name].own}".strip()
     figure.caption = style.caption_of(histogram).replace("a number", what)
     if any(withheld(found, name, d) for d in shown):
@@ -201,7 +203,7 @@ def histogram(ax, found, name, detector=0):
     It has its `name` of NUMBERS.
     """
     values, quantity = known(found, name, detector), NUMBERS[name]
-    whole = np.all(values == np.round(values)) and np.ptp(values) <= BINS
+    whole = np.all(values == np.round(values)) and np.ptp(values) <= MOST_BINS
     bins = np.arange(values.min() - 0.5, values.max() + 1) if whole else _bins(values)
     counts, edges = np.histogram(values, bins)
     ax.stairs(counts, edges, fill=True, color=style.pale(style.ACCENT))
@@ -226,8 +228,8 @@ def histogram(ax, found, name, detector=0):
 def _bins(values):
     """Return edges of bins as wide as 2 IQR / n^(1/3) (Freedman and Diaconis), few at most."""
     width = 2 * np.subtract(*np.percentile(values, [75, 25])) / len(values) ** (1 / 3)
-    count = math.ceil(np.ptp(values) / width) if width > 0 else BINS
-    return np.linspace(values.min(), values.max(), min(max(count, 4), BINS) + 1)
+    count = math.ceil(np.ptp(values) / width) if width > 0 else MOST_BINS
+    return np.linspace(values.min(), values.max(), min(max(count, 4), MOST_BINS) + 1)
 
 
 def density(ax, found, lattice):
@@ -250,7 +252,7 @@ def widths(ax, found, lattice):
     """
     width, localized = found.widths(lattice)
     x = np.log10(width / lattice.omega_mx)
-    edges = np.linspace(x.min(), x.max(), 2 * BINS + 1)
+    edges = np.linspace(x.min(), x.max(), 2 * MOST_BINS + 1)
     all_of_them, few = (np.histogram(x[which], edges)[0] for which in (width > 0, localized))
     of_one = len(x) * np.diff(edges)
     if few.any():
@@ -315,7 +317,7 @@ def correlation(ax, found, window=0, detector=0):
     """Correlation of the intensity along the driving frequency, shifts in half widths."""
     known = np.isfinite(found.correlation[window, detector])
     reach = found.shift[window] / found.half_width[window, detector][:, None]
-    furthest = min(WIDTHS, np.max(reach, where=known & np.isfinite(reach), initial=1.0))
+    furthest = min(HALF_WIDTHS, np.max(reach, where=known & np.isfinite(reach), initial=1.0))
     x = np.linspace(0, furthest, 200)
     (line,) = ax.plot(x, 1 / (1 + x**2), label="Lorentzian", **LAW)
     values, names = found.correlation[window, detector], [NAMES[part] for part in found.part]
@@ -425,4 +427,4 @@ def decay(ax, found, lattice):
 
 def _some(values):
     """Return the numbers of a few values, equally far from each other."""
-    return np.unique(np.linspace(0, len(values) - 1, SHOWN + 2).astype(int)[1:-1])
+    return np.unique(np.linspace(0, len(values) - 1, SHOWN_CURVES + 2).astype(int)[1:-1])

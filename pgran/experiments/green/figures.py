@@ -5,7 +5,7 @@ import numpy as np
 from pgran.draw import captions, marks, scales, style
 from pgran.store.record import site_name
 
-NAMED = 6  # curves in a legend
+NAMED_CURVES = 6  # curves in a legend
 DENSITY = scales.DENSITY._replace(name="local density of states")
 
 errors = captions.amplitudes
@@ -46,5 +46,5 @@ def local_density(ax, record, medium):
 
 def _curves(ax, record, medium, values, good, names, limit=None):
     """Draw curves over the driving frequency, with a legend of a few."""
-    names = names if len(names) <= NAMED else None
+    names = names if len(names) <= NAMED_CURVES else None
     return marks.over_frequency(ax, record, medium, values, good, names, limit)

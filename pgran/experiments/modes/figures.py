@@ -12,9 +12,9 @@ from pgran.experiments.modes.record import exactness
 from pgran.store.estimate import counted
 
 ASIDE = 0.02  # of an axis: room beside points
-NEAR = 0.05  # omega_mx: modes around the middle one that is pictured
-MANY = 20  # modes that have a density
-FAINT = 1e-10  # of the largest peak: fainter ones are not drawn
+AROUND_MIDDLE = 0.05  # omega_mx: modes around the middle one that is pictured
+MODES_OF_A_DENSITY = 20  # modes that have a density
+LEAST_PEAK = 1e-10  # of the largest peak: fainter ones are not drawn
 
 
 def figures(result, **_):
@@ -32,7 +32,7 @@ def figures(result, **_):
     made["participation"] = style.single(participation, **both)
     if record.residue is not None and np.any(record.width):
         made["resonances"] = style.single(resonances, **both)
-    if len(record.omega) >= MANY and np.ptp(record.omega) > 0:
+    if len(record.omega) >= MODES_OF_A_DENSITY and np.ptp(record.omega) > 0:
         level = counts.debye(lattice)
         made["density"] = style.single(density, level=level, **both)
         if counts.dimension(lattice) and np.any(record.omega > 0):
@@ -90,7 +90,7 @@ def pick(x, participation):
     if len(x) <= 3:
         return list(range(len(x)))
     distance = np.abs(x - 0.6)
-    near = np.flatnonzero(distance <= max(NEAR, distance.min()))
+    near = np.flatnonzero(distance <= max(AROUND_MIDDLE, distance.min()))
     usual = np.median(participation[near])
     middle = near[np.abs(participation[near] - usual).argmin()]
     return sorted({1, int(middle), int(np.abs(x - 1.0).argmin())})
@@ -124,10 +124,10 @@ def resonances(ax, modes, lattice):
     """What the drive makes of each normal mode: $|A|$ of a detector at the mode's peak, if it stood
     alone, to first order in the damping.
 
-    Peaks fainter than FAINT of the largest are left out.
+    Peaks fainter than LEAST_PEAK of the largest are left out.
     """
     peaks = modes.peak
-    good = np.isfinite(peaks) & (peaks > FAINT * np.nanmax(peaks, initial=0.0))
+    good = np.isfinite(peaks) & (peaks > LEAST_PEAK * np.nanmax(peaks, initial=0.0))
     names = style.ball_names(modes.detector) if len(modes.detector) > 1 else None
     look = {"dots": True, "linestyle": "none", "clip_on": False}
     ax.set(yscale="log", ylabel="$|A|$ at the mode's peak (drive = 1)")
@@ -189,7 +189,7 @@ def over(results, labels):
             density(ax, modes, medium, edges, label=label, **look)
 
     made = {participation: points}
-    if min(map(len, x)) >= MANY:
+    if min(map(len, x)) >= MODES_OF_A_DENSITY:
         made[density] = outlines
     missing = sum(not result.modes.count_certified for result in results)
     for panel, draw in made.items():

@@ -6,7 +6,7 @@ from pgran.draw import marks, scales, style
 from pgran.experiments.modes import figures as modes_figures
 
 COEFFICIENT = "coefficient $|c_i|$ (drive = 1)"
-SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes of cifreq lie
+SHOWN_DRIVE = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes of cifreq lie
 
 
 def figures(result, **_):
@@ -32,7 +32,7 @@ def errors(record, how):
     return modes_figures.errors(record, how) + lost
 
 
-def coefficients(ax, projection, lattice, drive=SHOWN):
+def coefficients(ax, projection, lattice, drive=SHOWN_DRIVE):
     """Coefficients of the driven lattice in its normal modes at one driving frequency, against the
     frequency of the modes.
 
@@ -83,7 +83,7 @@ def single_modes(ax, projection, lattice):
     elsewhere.
     """
     x, modes, accurate = _in_units(projection, lattice)
-    chosen = successive(modes, SHOWN if x[0] <= SHOWN <= x[-1] else (x[0] + x[-1]) / 2)
+    chosen = successive(modes, SHOWN_DRIVE if x[0] <= SHOWN_DRIVE <= x[-1] else (x[0] + x[-1]) / 2)
     near = (x >= modes[chosen[0]] - 0.05) & (x <= modes[chosen[-1]] + 0.05)
     if np.count_nonzero(near) <= style.HANDFUL:
         near[:] = True

@@ -7,11 +7,11 @@ import numpy as np
 from pgran.draw import balls, bonds, captions, marks, scales, style
 from pgran.errors import FileError
 
-LOUD = 0.01  # of the largest of the wall's spectrum: what spectra are divided by
-FADING = 0.25  # part of the time, the last one, over which motions are faded out before that
+LOUD_PART = 0.01  # of the largest of the wall's spectrum: what spectra are divided by
+FADING_PART = 0.25  # part of the time, the last one, over which motions are faded out before that
 FINER = 8  # times as many frequencies as a signal has: peaks are round
-NARROWEST = 2.0  # inches of a column of spectra
-ROWS = 6  # of spectra, before there is another column
+NARROWEST_PANEL = 2.0  # inches of a column of spectra
+PANEL_ROWS = 6  # of spectra, before there is another column
 
 
 def figures(result, response=None, **_):
@@ -111,10 +111,13 @@ def _spectra(signals, lattice, response):
         raise FileError("the pulse and the response have no detector in common")
     order, _ = captions.by_depth(lattice, signals.detector)
     shown = {"signals": signals, "lattice": lattice, "response": response}
-    figure, columns = style.grid(
-        [partial(spectrum, number=d, **shown) for d in order],
-        lambda rows: 0.4 + max(1.2 * rows, 2.0), ROWS, NARROWEST, sharex=True, sharey=True,
-    )  # fmt: skip
+
+    def height(rows):
+        return 0.4 + max(1.2 * rows, 2.0)
+
+    draws = [partial(spectrum, number=d, **shown) for d in order]
+    alike = {"sharex": True, "sharey": True}
+    figure, columns = style.grid(draws, height, PANEL_ROWS, NARROWEST_PANEL, **alike)
     for ax in figure.panels:
         ax.set_ylabel("")
     figure.supylabel(scales.AMPLITUDE, fontsize="medium")
@@ -154,7 +157,7 @@ def spectrum(ax, signals, lattice, number, response=None):
     look = {"color": "black", "dots": False}
     (curve,) = marks.curves(ax, x, size, good, ["signal/drive"], **look)
     speed = np.abs(signals.velocity[:, number])
-    left = speed[-round(FADING * len(speed)) :].max() / (speed.max() or 1.0)
+    left = speed[-round(FADING_PART * len(speed)) :].max() / (speed.max() or 1.0)
     _, (name,) = captions.by_depth(lattice, signals.detector[[number]])
     ax.set_title(f"{name}; {100 * left:.3g} % left")
     return curve
@@ -176,14 +179,14 @@ def ratio(signals, number):
     step, count = signals.time[1] - signals.time[0], FINER * len(signals.time)
     omega = 2 * np.pi / step * np.fft.rfftfreq(count)
     window = np.ones(len(signals.time) - 1)
-    fading = max(round(FADING * len(window)), 1)
+    fading = max(round(FADING_PART * len(window)), 1)
     bell = np.blackman(fading + 2)[1:-1]
     window[-fading:] -= np.cumsum(bell) / bell.sum()
     moved, wall = (
         np.abs(np.fft.rfft(np.diff(values) * window, count))
         for values in (signals.displacement[:, number], signals.wall)
     )
-    loud = wall > LOUD * wall.max()
+    loud = wall > LOUD_PART * wall.max()
     size = np.divide(moved, wall, out=np.full_like(moved, np.nan), where=loud)
     error = signals.error[:, number]
     if not np.isfinite(error).all():

@@ -8,7 +8,7 @@ from pgran.draw import captions, marks, scales, style
 from pgran.errors import FileError
 from pgran.store.estimate import with_error
 
-SHOWN = 2000  # steps
+SHOWN_STEPS = 2000  # steps
 PM = r"\pm"  # no backslash stands within braces of an f-string
 
 errors = captions.amplitudes
@@ -28,7 +28,9 @@ def figures(result, **_):
     figure = style.stack(panels, height=2.3)
     omega = scales.frequency(relaxation.omega / result.medium.omega_mx, result.medium)
     trajectories, count = relaxation.displacement.shape[:2]
-    figure.caption += f" Driven at {omega}; the first {min(SHOWN, count - 1)} of {count - 1} steps"
+    figure.caption += (
+        f" Driven at {omega}; the first {min(SHOWN_STEPS, count - 1)} of {count - 1} steps"
+    )
     figure.caption += f" of one of {trajectories} trajectories" * (trajectories > 1) + "."
     missed = np.isnan(relaxation.displacement).any(axis=2)
     if missed.any():
@@ -37,7 +39,7 @@ def figures(result, **_):
     yield "timeres", figure
 
 
-def series(ax, relaxation, steps=SHOWN):
+def series(ax, relaxation, steps=SHOWN_STEPS):
     """Amplitude against time; in a step one bond is drawn anew.
 
     The first steps of the first trajectory are drawn (paper: timeres).

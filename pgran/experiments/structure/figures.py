@@ -7,7 +7,7 @@ from matplotlib.colors import LogNorm
 
 from pgran.draw import captions, marks, scales, style
 
-SMALLEST = 1e-3  # of the largest S: what is less looks the same
+LEAST_SHOWN = 1e-3  # of the largest S: what is less looks the same
 WAVE_NUMBER = scales.Quantity("wave number $q$", "(1/length)")
 OMEGA = scales.ANY_FREQUENCY._replace(own=r"$\Omega/\omega_{mx}$")
 
@@ -45,8 +45,8 @@ def spectra(ax, record, medium, branch=0):
     oscillators fitted to it: dots $\Omega(q)$, bars from $\Omega-\Gamma/2$ to $\Omega+\Gamma/2$.
     """
     values = np.where(record.converged_reason > 0, record.structure_factor[:, branch].T, np.nan).T
-    values = np.maximum(values / np.nanmax(values), SMALLEST)  # NaN stays
-    omega, look = record.omega / medium.omega_mx, {"norm": LogNorm(SMALLEST, 1.0)}
+    values = np.maximum(values / np.nanmax(values), LEAST_SHOWN)  # NaN stays
+    omega, look = record.omega / medium.omega_mx, {"norm": LogNorm(LEAST_SHOWN, 1.0)}
     drawn = ax.pcolormesh(_edges(record.q), _edges(omega), values, rasterized=True, **look)
     middle, half = (x[branch] / medium.omega_mx for x in (record.frequency, 0.5 * record.width))
     look = {"fmt": "o", "markersize": 2, "color": "white", "elinewidth": 0.6}
