@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from figure_reading import draw, labels, lay_out, legend, lines, note, page_of, saving
+from figure_reading import draw, labels, legend, lines, note, page_of, saving
 from figure_results import result_of
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import to_rgb
@@ -77,12 +77,11 @@ def test_contacts_are_lines_as_wide_as_their_force_and_stubs_at_the_ends_of_the_
     ax = draw(network.contacts, record_of(net), list(net.free[:2]))
     (drawn,) = of_kind(ax, LineCollection)
     segments, widths = np.array(drawn.get_segments()), np.array(drawn.get_linewidths())
-    ends = net.position[net.bond]
+    ends, count = net.position[net.bond], len(net.bond)
     wraps = np.abs(ends[:, 1, 1] - ends[:, 0, 1]) > HEIGHT / 2
-    assert 0 < np.count_nonzero(wraps) < len(wraps)
-    assert len(segments) == len(wraps) + np.count_nonzero(wraps)
-    assert segments[: len(wraps)][~wraps] == pytest.approx(ends[~wraps])
-    first, second = segments[: len(wraps)][wraps], segments[len(wraps) :]
+    assert 0 < np.count_nonzero(wraps) == len(segments) - count < count
+    assert segments[:count][~wraps] == pytest.approx(ends[~wraps])
+    first, second = segments[:count][wraps], segments[count:]
     assert first[:, 0] == pytest.approx(ends[wraps, 0])
     assert second[:, 1] == pytest.approx(ends[wraps, 1])
     apart = first[:, 1] - second[:, 0]  # the halves meet in the middle, a period away
@@ -93,8 +92,7 @@ def test_contacts_are_lines_as_wide_as_their_force_and_stubs_at_the_ends_of_the_
     assert widths / widths.max() == pytest.approx(np.abs(force) / np.abs(force).max())
     orange = (drawn.get_colors()[:, :3] == to_rgb(style.UNRESOLVED)).all(axis=1)
     assert np.array_equal(orange, force < 0)
-    assert f"force up to {np.abs(net.force).max():.3g}" in labels(ax)
-    assert "negative force" in labels(ax)
+    assert {f"force up to {np.abs(net.force).max():.3g}", "negative force"} <= set(labels(ax))
     marks = [line.get_marker() for line in ax.get_lines() if "ball" in line.get_label()]
     assert len(marks) == len(set(marks)) == 2  # which a print in grey keeps
 
@@ -118,12 +116,15 @@ def test_balls_are_circles_and_those_that_are_held_or_heard_are_marked():
     (arrow,) = ax.texts
     (x, y), (along, across) = np.subtract(arrow.xy, arrow.xyann), net.direction
     assert x * across == pytest.approx(y * along)
-    for tip in (arrow.xy, arrow.xyann):
-        assert ax.viewLim.padded(1e-9).contains(*tip)
+    assert all(ax.viewLim.padded(1e-9).contains(*tip) for tip in (arrow.xy, arrow.xyann))
 
 
-def test_the_arrow_of_the_drive_keeps_clear_of_detectors():
-    """At another driven ball than the middle one where that has one beside it."""
+def test_what_drives_is_marked_where_it_does():
+    net = strip()
+    pushed = record_of(with_source(net, balls=net.free[[3]]))
+    assert np.array_equal(np.flatnonzero(View(pushed).kind == 2), net.free[[3]])
+    assert np.array_equal(View(record_of(net), driven=False).kind, np.minimum(net.held, 1))
+    # the arrow is at another driven ball than the middle one where that has a detector beside it
     net = pgran.pack(80, pressure=0.02, walls="x", seed=3)
     driven = net.position[net.held == 2]
     middle = driven[np.linalg.norm(driven - driven.mean(axis=0), axis=1).argmin()]
@@ -134,19 +135,11 @@ def test_the_arrow_of_the_drive_keeps_clear_of_detectors():
     assert np.linalg.norm(along - net.position[heard], axis=2).min() > 0.3
 
 
-def test_what_drives_is_marked_where_it_does():
-    net = strip()
-    pushed = record_of(with_source(net, balls=net.free[[3]]))
-    assert np.array_equal(np.flatnonzero(View(pushed).kind == 2), net.free[[3]])
-    assert np.array_equal(View(record_of(net), driven=False).kind, np.minimum(net.held, 1))
-
-
 def test_without_radii_and_forces_dots_and_stiffness():
     net = crystal("square", (4, 3), lambda rng, count: rng.uniform(0.5, 1, count))
     ax = draw(network.contacts, record_of(net))
     assert f"stiffness up to {net.stiffness.max():.3g}" in labels(ax)
-    (drawn,) = of_kind(ax, LineCollection)
-    widths = np.array(drawn.get_linewidths())
+    widths = np.array(of_kind(ax, LineCollection)[0].get_linewidths())
     assert widths / widths.max() == pytest.approx(net.stiffness / net.stiffness.max())
     assert circles(ax)[2] == pytest.approx(0.25)
 
@@ -164,13 +157,9 @@ def test_of_spheres_a_plane_along_the_drive_is_drawn(direction, across):
     assert f"{'xyz'[across]}$ = {net.position[7, across]:.3g}" in note(figure)
     (drawn,) = of_kind(figure.axes[0], LineCollection)
     assert len(drawn.get_segments()) == np.count_nonzero(cut[net.bond].all(axis=1))
-
-
-def test_a_plane_that_is_low_is_within_the_page():
-    """As it is drawn first: only then it is known how high the panel is."""
-    net = gas([1, 0, 0])
-    net = replace(net, position=net.position * [2, 1, 1], kmax=None, median_mass=None)
-    figure = network.page(record_of(net), [7])
+    # a plane that is low is within the page as it is drawn first
+    low = replace(net, position=net.position * [2, 1, 1], kmax=None, median_mass=None)
+    figure = network.page(record_of(low), [7])
     figure.draw_without_rendering()
     assert figure.panels[0].get_tightbbox().y0 > 0
 
@@ -189,10 +178,8 @@ def test_contacts_of_unknown_distance_cross_where_the_normal_points_elsewhere():
 def test_arrows_are_displacements_of_the_modes_chosen(displacement):
     net = strip(displacement, tangential=np.full(len(strip().bond), 0.5))
     result = result_of(pgran.find_modes(net, shapes=True), net)
-    made = figures.make(result)
-    assert list(made) == ["shapes", "participation", "density", "reduced", "network"]
-    panels = made["shapes"].panels
     x, each = result.modes.omega / net.omega_mx, net.components
+    panels = page_of(result, "shapes").panels
     for mode, ax in zip(modes.pick(x, result.modes.participation), panels, strict=True):
         moves = np.zeros((len(net.held), each))
         moves[net.free] = result.modes.vector[mode].reshape(-1, each)
@@ -212,8 +199,6 @@ def test_arrows_are_displacements_of_the_modes_chosen(displacement):
         if displacement == "rotations":
             colours = circles(ax)[0].get_array().data
             assert colours == pytest.approx(moves[:, 2] / largest)
-    ax = draw(modes.participation, result.modes, result.medium)
-    assert ax.child_axes[0].get_ylabel() == f"$P_i/N$, of $N$ = {len(net.free)} balls"
 
 
 def test_scalar_fields_are_colours():
@@ -251,13 +236,12 @@ def test_signals_by_distance_from_the_driven_balls():
     free = net.free[np.argsort(net.position[net.free, 0], kind="stable")]
     heard = [int(free[0]), int(free[-1]), int(free[len(free) // 2])]
     result = listen(net, heard)
-    shown, made = result.pulse, figures.make(result)
-    assert list(made) == ["network", "signals", "field", "energy", "spectrum"]
-    names = [text.get_text().split("\n")[0] for text in made["signals"].axes[0].get_yticklabels()]
+    shown = result.pulse
+    ticks = page_of(result, "signals").axes[0].get_yticklabels()
+    names = [text.get_text().split("\n")[0] for text in ticks]
     assert names == ["driven balls", *[f"ball {heard[n]}" for n in (1, 2, 0)]]
     work = draw(pulse.energy, shown, result.medium).get_lines()[0].get_ydata()
-    unit = np.median(net.masses) * net.omega_mx**2
-    assert work == pytest.approx(shown.work / unit)
+    assert work == pytest.approx(shown.work / (np.median(net.masses) * net.omega_mx**2))
     wall = np.interp(shown.field_time[0], shown.time, shown.wall)
     view = View(result.network)
     arrows, largest = balls.arrows(Figure().subplots(), result.network, view, shown.field[0], wall)
@@ -265,49 +249,42 @@ def test_signals_by_distance_from_the_driven_balls():
     drawn = np.stack([arrows.U, arrows.V], axis=1)
     size = np.linalg.norm(drawn, axis=1)
     assert size[driven] / size.max() == pytest.approx(abs(wall) / largest)
-    assert drawn[driven] / size[driven, None] == pytest.approx(
-        np.sign(wall) * np.tile([0.6, 0.8], (np.count_nonzero(driven), 1))
-    )
+    along = np.tile(np.sign(wall) * np.array([0.6, 0.8]), (np.count_nonzero(driven), 1))
+    assert drawn[driven] / size[driven, None] == pytest.approx(along)
 
 
 def test_a_network_without_positions_has_its_other_figures(caplog):
     net = strip("scalar", force=None, direction=None, position=None, normal=None)
     ball = int(net.free[0])
-    found = result_of(pgran.find_modes(net, shapes=True), net)
     for result, expected in (
-        (found, ["participation"]),
+        (result_of(pgran.find_modes(net, shapes=True), net), ["participation"]),
         (sweep(net, [ball]), ["amplitude", "phase", "delay", "wall"]),
         (listen(net, [ball]), ["signals", "energy", "spectrum"]),
     ):
         caplog.clear()
         with caplog.at_level("WARNING", logger="pgran"):
-            made = figures.make(result)
-        assert list(made) == expected
+            assert list(figures.make(result)) == expected
         assert "no positions" in caplog.text
-        for figure in made.values():
-            lay_out(figure)
 
 
 def test_a_velocity_is_given_where_there_is_a_distance():
     net = strip()
-    omegas, ball = np.linspace(0.01, 1.3, 200) * net.omega_mx, int(net.free[0])
-    result = result_of(pgran.sweep(net, omegas, [ball], method="points"), net)
+    ball = int(net.free[0])
+    result = sweep(net, [ball])
     shown = result.response
     shown.phase_slope[:], shown.phase_intercept[:] = -3.0, 0.0
     shown.phase_slope_error[:] = shown.phase_velocity_error[:] = 0.1
     shown.phase_used_min[:], shown.phase_used_max[:] = 0.3, 1.0
-    for velocity in (2.0, np.nan):
+    for velocity, said, unit in ((2.0, "v = 2", r"$v$ in lengths $\times"),
+                                 (np.nan, "s = -3", "$s$ in rad/")):  # fmt: skip
         shown.phase_velocity[:] = velocity
-        ax = draw(response.phase, shown, result.medium)
-        assert labels(ax)[0].startswith(f"ball {ball}:")
-        assert ("v =" in labels(ax)[0]) == np.isfinite(velocity)
-        assert ("s = -3" in labels(ax)[0]) != np.isfinite(velocity)
-        unit = r"$v$ in lengths $\times" if np.isfinite(velocity) else "$s$ in rad/"
-        assert any(unit in label for label in labels(ax))
-        assert ("2.00 " in figures.make(result)["phase"].caption) == np.isfinite(velocity)
+        name, *others = labels(draw(response.phase, shown, result.medium))
+        assert name.startswith(f"ball {ball}: ${said}")
+        assert any(unit in label for label in others)
+        assert ("2.00 " in page_of(result, "phase").caption) == np.isfinite(velocity)
 
 
-def test_two_results_of_one_network(monkeypatch, capsys):
+def test_two_results_of_one_network(monkeypatch):
     net, saved = strip(), saving(monkeypatch)
     heard = [int(net.free[0])]
     other = sweep(replace(net, direction=[0, 1]), heard)
@@ -315,10 +292,10 @@ def test_two_results_of_one_network(monkeypatch, capsys):
     shown["modes.h5"] = result_of(pgran.find_modes(net), net)
     shown["lattice.h5"] = result_of(shown["modes.h5"].modes)
     monkeypatch.setattr(pgran, "load", shown.get)
-    assert plot(["modes.h5", "response.h5"]) == 0
+    for pair in (["modes.h5", "response.h5"], ["modes.h5", "other.h5"],  # modes have no drive
+                 ["pulse.h5", "response.h5"]):  # fmt: skip
+        assert plot(pair) == 0
     assert "normal modes" in labels(saved[0]["phase"].axes[0])
-    assert plot(["modes.h5", "other.h5"]) == 0  # modes have no drive
-    assert plot(["pulse.h5", "response.h5"]) == 0
     for pair in (["pulse.h5", "other.h5"], ["response.h5", "lattice.h5"]):
         with pytest.raises(FileError, match="belong to different lattices"):
             plot(pair)
