@@ -120,7 +120,8 @@ def single(draw, caption=None, width=COLUMN, height=2.3, **shown):
 def stack(draws, caption=None, width=COLUMN, height=2.1, shared=False, **shown):
     """Return a page of panels below each other, each as high as said, with its legend above.
 
-    A panel is `draw(ax, **shown)`. `shared`: they have one axis of x and one legend.
+    A panel is `draw(ax, **shown)`; the caption is a text, one a panel, or that of their docstrings.
+    `shared`: they have one axis of x and one legend.
     """
     figure, panels = page(width, height * len(draws), nrows=len(draws))
     for draw, ax in zip(draws, panels, strict=True):
@@ -132,7 +133,8 @@ def stack(draws, caption=None, width=COLUMN, height=2.1, shared=False, **shown):
     for group in [panels] if shared else [[ax] for ax in panels]:
         legend_above(group)
     figure.align_ylabels()
-    figure.caption = caption or lettered(map(caption_of, draws))
+    texts = [caption] if isinstance(caption, str) else caption or map(caption_of, draws)
+    figure.caption = lettered(texts)
     return figure
 
 
@@ -160,7 +162,7 @@ def grid(draws, height, rows, narrowest, **shared):
 def caption_of(panel):
     """Return the caption of a panel: the first paragraph of its docstring."""
     function = getattr(panel, "func", panel)  # of a partial one
-    return " ".join(inspect.getdoc(function).partition("\n\n")[0].split())
+    return " ".join((inspect.getdoc(function) or "").partition("\n\n")[0].split())
 
 
 def lettered(texts):
