@@ -37,6 +37,7 @@ from pgran.medium.base import record_of
 
 FINE = np.linspace(0.1, 1.1, 201)
 LARGER = random_lattice((12, 11), seed=5, mass=0.25)
+CUBE = random_lattice((4, 3, 5), seed=5, mass=0.25)
 
 
 def sensitivity():
@@ -83,7 +84,8 @@ SCENES = {
     "dominant": (lambda: project(FINE, (6, 5)), "maxci"),
     "single modes": (lambda: project(FINE, (3, 1)), "cifreq"),
     "relaxation": (relax, "timeres"),
-    "pulse": (lambda: listen(sites=[(1, 1), (3, 0)]), "signals field energy spectrum bonds"),
+    "pulse": (lambda: listen([(1, 1, 2), (3, 0, 2)], CUBE, method="laplace"),
+              "signals field energy spectrum bonds"),
     "bare signals": (bare_signals, "signals spectrum bonds"),
     "sensitivity": (sensitivity, "warmed cut changes sensitivity flux distribution bonds"),
     "green": (lambda: result_of(pgran.green(LARGER, UNIT * SWEEP[::9], [(4, 5), (8, 5)]), LARGER),

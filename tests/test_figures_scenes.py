@@ -254,16 +254,6 @@ def test_coefficients_of_three_modes(x, centre):
         assert list(x[near][gaps(curve)]) == list(x[failed])
 
 
-def test_amplitudes_at_the_floor_are_upper_limits():
-    shown = relax().relaxation
-    shown.at_floor[0, [5, 200], 0] = 1
-    shown.error_bound[:] = 0.5
-    ax = draw(relaxation.series, shown)
-    (curve,), (limits,) = curves(ax), lines(ax, marker="v")
-    assert gaps(curve) == [5, 200]
-    assert np.array_equal(limits.get_ydata()[[5, 200]], shown.amplitude[0, [5, 200], 0] + 0.5)
-
-
 def test_the_spectrum_its_fit_and_slope_2():
     result = relax()
     walk = np.cumsum(np.random.default_rng(8).normal(size=(1, 20001)), axis=1)

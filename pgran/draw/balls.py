@@ -168,7 +168,7 @@ def page(extent, draws, what="displacement"):
     for draw, ax in zip(draws, panels, strict=True):
         shown.append(draw(ax))
         if not flat:
-            ax.set_title(ax.get_title(loc="left").replace(", ", "\n     ", 1))
+            ax.set_title(ax.get_title(loc="left").replace(", ", "\n     "))
         ax.label_outer()
     if chain:
         figure.supylabel(f"{what} / largest", fontsize="medium")

@@ -30,7 +30,7 @@ def amplitude(ax, continuum):
 
 
 def phase(ax, continuum):
-    r"""Its phase, without damping 0 or $\pi$."""
+    r"""Phase at that point, without damping 0 or $\pi$."""
     ax.set_ylabel(scales.PHASE)
     if continuum.damping > 0:
         return _curve(ax, continuum, continuum.phase)

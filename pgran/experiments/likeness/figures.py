@@ -23,7 +23,7 @@ def correlation(ax, found):
 
 
 def stretch(ax, found):
-    """That stretch, the relative change of frequencies or speeds, where one is known."""
+    """Stretch of the largest correlation, a relative change of frequencies, where one is known."""
     return _points(ax, found, r"stretch $\epsilon$", found.stretch, found.stretch_error)
 
 

@@ -176,7 +176,7 @@ def force(ax, response, lattice, modes=None):
 
 
 def force_phase(ax, response, lattice, modes=None):
-    r"""Its phase, from 0 (a spring) to $\pi$ (a mass)."""
+    r"""Phase of that force, from 0 (a spring) to $\pi$ (a mass)."""
     values = np.abs(np.angle(response.force))  # rounding alone could make it negative
     ax.set(ylim=(-0.1 * math.pi, 1.1 * math.pi), ylabel="phase of $F$")
     ax.set_yticks([0, math.pi / 2, math.pi], ["0", r"$\pi/2$", r"$\pi$"])

@@ -216,7 +216,7 @@ def sizes(ax, points):
 
 
 def often(ax, points):
-    """Share of these cases in which |A| changes by a quarter or more."""
+    """Share of cases in which |A| changes by a quarter or more, against that growth."""
     drawn = _by_growth(ax, points, {3: None})
     ax.set(ylim=(0, None), ylabel="a quarter or more (% of cases)")
     return drawn

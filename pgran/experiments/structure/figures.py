@@ -74,8 +74,8 @@ def speed(ax, record, medium):
 
 
 def scattering(ax, record, medium):
-    r"""Their $\pi\Gamma/\Omega$ by scattering; vertical lines: where it is 1, and waves end (Ioffe
-    and Regel).
+    r"""$\pi\Gamma/\Omega$ of the oscillators by scattering; vertical lines: where it is 1, and
+    waves end (Ioffe and Regel).
     """
     rates = record.scattering, record.scattering_error
     ratio, error = (np.pi * rate / record.frequency for rate in rates)
