@@ -32,8 +32,8 @@ from pgran.draw import pages as figures
 from pgran.draw.marks import points as errorbars
 from pgran.experiments.modes import figures as modes
 from pgran.experiments.response import figures as response
-from pgran.medium.crystals import crystal
 from pgran.medium.base import record_of
+from pgran.medium.crystals import crystal
 
 FINE = np.linspace(0.1, 1.1, 201)
 LARGER = random_lattice((12, 11), seed=5, mass=0.25)
