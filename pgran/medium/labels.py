@@ -21,7 +21,7 @@ MOVES = {"scalar": "scalar displacements", "vector": "vectors", "rotations": "ro
 def sample(medium, facts, seeds=()):
     """Yield in words what was computed on: the medium, its bonds, their seed, and what drives it.
 
-    `facts` are its options (`facts_of`), `seeds` those of the samples of an ensemble.
+    `facts` are its options (`facts_of`); an ensemble has several `seeds`, or files of networks.
     """
     several = len(seeds)
     if medium.is_grid:
@@ -35,7 +35,7 @@ def sample(medium, facts, seeds=()):
             yield f"seed {facts['bonds_seed']}"
     else:
         file = facts.get("network_file", "").partition(",")[0]
-        yield f"{several} networks; {file}" if several else f"the network {file}".rstrip()
+        yield f"{several} networks; {file}" if several > 1 else f"the network {file}".rstrip()
         loose = " without rattlers" * (facts.get("network_rattlers") == "remove")
         yield counted(medium.free_balls, "free ball") + loose
         yield counted(medium.bonds, "contact")
