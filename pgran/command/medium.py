@@ -17,8 +17,8 @@ def facts_of(options, medium):
     """Yield in words what a run's medium is; of an ensemble it is the first sample."""
     seeds = ()
     if options.scene == "ensemble":
-        files, first = options.network_file, options.bonds_seed
-        seeds = range(first, first + (len(files) if files else options.ensemble_samples))
+        first = options.bonds_seed
+        seeds = options.network_file or range(first, first + options.ensemble_samples)
     for fact in labels.sample(medium, labels.facts_of(options.text()), seeds):
         yield fact.replace("$", "")
     if getattr(options, f"{options.scene}_of", None) != "modes":  # samples keep no widths of theirs
