@@ -159,8 +159,8 @@ def in_parallel(prefix="", shares_lattice=False, solver=True, **arguments):
 
     def decorate(function):
         declared = {name: asked for name, asked in arguments.items() if hasattr(asked, "of_run")}
-        parameters = []
-        for name, parameter in inspect.signature(function).parameters.items():
+        signature, parameters = inspect.signature(function), []
+        for name, parameter in signature.parameters.items():
             asked = parameter.default
             if isinstance(asked, Option) and not asked.name:
                 asked = dataclasses.replace(asked, name=f"{prefix}_{name}")
@@ -217,7 +217,7 @@ def in_parallel(prefix="", shares_lattice=False, solver=True, **arguments):
                     record = carry_out(call, crew=crew)
                 return world.bcast(record)
 
-        wrapped.__signature__ = inspect.Signature(parameters)
+        wrapped.__signature__ = signature.replace(parameters=parameters)
         wrapped.check, wrapped.declared = check, declared
         wrapped.__doc__ = _described(function, wrapped.__signature__, declared)
         return wrapped
