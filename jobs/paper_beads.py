@@ -13,7 +13,7 @@ import numpy as np
 
 import pgran
 from pgran.command.units import GRAVITY
-from pgran.experiments.sensitivity.figures_heat import distances, moduli
+from pgran.experiments.sensitivity.figures_heat import change, distances
 from pgran.medium import hertz
 from pgran.medium.network_file import parts_of, write_network
 
@@ -73,7 +73,8 @@ def measures(results, weights, growth):
     if not results:
         return [np.nan] * 8 + [0] * 3
     heats = [result.heat for result in results]
-    changes = np.concatenate([moduli(heat).reshape(len(heat.omega), -1) for heat in heats], axis=1)
+    changes = [np.abs(change(heat, "warmed")[0]) for heat in heats]
+    changes = np.concatenate([each.reshape(len(each), -1) for each in changes], axis=1)
     away = np.concatenate([distances(r.heat, r.network).ravel() for r in results])
     known = np.isfinite(changes)
     parts = [changes[known & (away >= low) & (away < high)] for low, high in pairwise(APART)]
