@@ -31,7 +31,7 @@ _HOMES = {
     "ensemble": "pgran.experiments.ensemble.scene",
     "equilibrate": "pgran.balance.networks",
     "export": "pgran.command.export",
-    "find_modes": "pgran.experiments.modes.find",
+    "find_modes": "pgran.experiments.modes.scene",
     "green": "pgran.experiments.green.scene",
     "heat": "pgran.experiments.sensitivity.scene",
     "load": "pgran.medium.network_file",

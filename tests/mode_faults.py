@@ -9,6 +9,7 @@ from pgran.driven.operators import Operators
 from pgran.experiments.modes.density import count_modes
 from pgran.experiments.modes.normal import ModeSolver
 from pgran.experiments.modes.scene import find_modes
+from pgran.experiments.modes.slices import proven
 from pgran.run.crew import Crew
 
 ROUNDING = 1e-13  # of |K|: how well dense eigenvalues are known
@@ -39,7 +40,7 @@ def mode_faults(case, seen):
 
 def nearest_modes(solver, omega, count):
     """The ends of an interval around omega that is proven to be complete, its modes; or None."""
-    found = solver.interval(omega, count)
+    found = proven(solver, omega, count)
     if found is None:
         return None
     low, high, search = found

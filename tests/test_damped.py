@@ -12,7 +12,7 @@ from samples import random_lattice, uniform_lattice
 import pgran
 from pgran.draw import pages
 from pgran.errors import FileError, InputError
-from pgran.experiments.modes import certain, near, scene
+from pgran.experiments.modes import certain, damped, scene
 from pgran.medium import crystals
 from pgran.run.experiment import Caution
 
@@ -179,13 +179,13 @@ def test_overdamped_modes_are_real_as_far_as_they_may_be(monkeypatch):
     """The sign of an imaginary part that is rounding must not drop them."""
     lattice = pgran.Lattice.random((8, 7), damping=0.0, drag=40.0)
     wanted = {"damped": True, "method": "eps", "targets": [0.0], "count": 4}
-    exact, search = pgran.find_modes(lattice, **wanted), near.nearest
+    exact, search = pgran.find_modes(lattice, **wanted), damped.nearest
 
     def below(*arguments):
         s, X = search(*arguments)
         return s - 1.5e-12j * np.abs(s).max(), X
 
-    monkeypatch.setattr(near, "nearest", below)
+    monkeypatch.setattr(damped, "nearest", below)
     found = pgran.find_modes(lattice, **wanted)
     assert (found.failures, len(found.omega), found.omega.any()) == (0, 4, False)
     np.testing.assert_allclose(found.eigenvalue, exact.eigenvalue, atol=1e-12)

@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 
 import pgran
 from pgran.errors import InputError, PgranError
-from pgran.experiments.modes import dense
+from pgran.experiments.modes import dense, scene
 from pgran.experiments.modes.dense import enclosure, whole_spectrum
 from pgran.experiments.modes.scene import certificate
 from pgran.medium.base import record_of
@@ -53,10 +53,10 @@ def random_matrices(count):
 
 def test_each_eigenvalue_lies_within_the_radius():
     for K in random_matrices(60):
-        found, exact = whole_spectrum(K), exact_eigenvalues(K)
-        errors = [abs(mpmath.mpf(w) - x) for w, x in zip(found.values, exact, strict=True)]
-        assert max(errors) <= found.radius
-        assert found.radius <= 1e-11 * max(abs(K).sum(axis=1).max(), 1e-300)
+        (values, _, _, radius), exact = whole_spectrum(K), exact_eigenvalues(K)
+        errors = [abs(mpmath.mpf(w) - x) for w, x in zip(values, exact, strict=True)]
+        assert max(errors) <= radius
+        assert radius <= 1e-11 * max(abs(K).sum(axis=1).max(), 1e-300)
 
 
 def planted(fault, values, vectors, off=0.01):
@@ -79,9 +79,9 @@ def test_a_planted_fault_proves_little(fault):
     rng = np.random.default_rng(1)
     matrix = rng.standard_normal((20, 20))
     K = stored(matrix)
-    good = whole_spectrum(K)
-    _, radius = enclosure(K, *planted(fault, good.values, good.vectors))
-    assert good.radius < 1e-12
+    values, vectors, _, good = whole_spectrum(K)
+    _, radius = enclosure(K, *planted(fault, values, vectors))
+    assert good < 1e-12
     assert radius > 1e-3
 
 
@@ -199,34 +199,38 @@ def test_projections_and_ensembles_by_whole_spectra(world):
     assert np.all(found[0].good)
 
 
+def auto(medium, **which):
+    """What `auto` chooses for some modes of a medium."""
+    return scene.route("auto", medium, scene.Wanted(**which), damped=False)
+
+
 def test_what_auto_takes(solver_options):
     """On lattices and with keys of an EPS always slices; on networks what is cheaper."""
     small, wide = (random_geometric(balls, 2) for balls in (200, 4000))
     filled = random_geometric(700, 3, displacement="vector")
-    auto = dense.method_of
-    assert auto("auto", random_lattice((6, 5))) == "eps"
-    assert auto("dense", random_lattice((6, 5))) == "dense"
-    assert auto("auto", small) == "dense"
+    assert auto(random_lattice((6, 5))) == "eps"
+    assert auto(small) == "dense"
     assert "graph" not in vars(small)  # whole spectra are cheaper however little factors fill
-    assert auto("auto", filled) == "dense"
-    assert auto("auto", small, targets=[0.3], count=50) == "dense"
-    assert auto("auto", small, interval=(0.1, 2.0)) == "dense"
-    assert auto("auto", wide) == "eps"
-    assert auto("auto", filled, targets=[0.3], count=20) == "eps"
-    assert auto("auto", filled, interval=(0.3, 0.31)) == "eps"
+    assert auto(filled) == "dense"
+    assert auto(small, targets=[0.3], count=50) == "dense"
+    assert auto(small, interval=(0.1, 2.0)) == "dense"
+    assert auto(wide) == "eps"
+    assert auto(filled, targets=[0.3], count=20) == "eps"
+    assert auto(filled, interval=(0.3, 0.31)) == "eps"
     solver_options("-normal_eps_tol 1e-10")
-    assert auto("auto", small) == "eps"
+    assert auto(small) == "eps"
+    assert scene.route("dense", small, scene.Wanted(), damped=False) == "dense"
 
 
 def test_whole_spectra_fit_into_memory(monkeypatch):
     network = random_geometric(100, 2)
     monkeypatch.setattr(dense, "total_memory", lambda: dense.memory(network.size))
-    assert dense.method_of("auto", network) == "eps"
+    assert auto(network) == "eps"
     monkeypatch.setattr(machine, "total_memory", lambda: dense.memory(network.size))
     with pytest.raises(InputError, match="-modes_method: too much"):
         pgran.find_modes(network, method="dense")
     monkeypatch.setattr(dense, "LARGEST", 50)
-    assert dense.method_of("auto", network) == "eps"
+    assert auto(network) == "eps"
     with pytest.raises(InputError, match=r"up to 50 unknowns.*-modes_method eps"):
         pgran.find_modes(network, method="dense")
 

@@ -10,7 +10,7 @@ import pytest
 import pgran
 from pgran.errors import InputError
 from pgran.experiments.ensemble import transport
-from pgran.experiments.modes import levels
+from pgran.experiments.modes import shapes
 from pgran.results import Ensemble
 from pgran.run.experiment import Caution
 
@@ -104,7 +104,7 @@ def test_energy_is_absorbed_in_the_widths_of_modes():
     first = pgran.Lattice.random(**lattice)
     found, modes = pgran.transport(first, ensemble), pgran.find_modes(first, shapes=True)
     near = np.abs(modes.omega - 0.8) < 2 / 40
-    width = levels.modal_widths(first, modes.vector)[near].mean()
+    width = shapes.modal_widths(first, modes.vector)[near].mean()
     assert abs(found.absorption - width) < 3 * found.absorption_error < 0.2 * width
     parts = ensemble.square
     assert ensemble.mean_square == pytest.approx(parts.mean(axis=0), nan_ok=True)

@@ -17,7 +17,7 @@ from samples import random_lattice, run_scene, steady
 from pgran.command import forecast, medium
 from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError
-from pgran.experiments.modes import dense, find
+from pgran.experiments.modes import dense, scene
 from pgran.medium import crystals as makers
 from pgran.medium.network import Network
 from pgran.run import machine
@@ -138,7 +138,7 @@ def test_work_and_disk_are_those_of_the_run(world, monkeypatch, name, words, wor
 
 def test_whole_spectra_are_foreseen_by_smaller_ones(world, monkeypatch):
     """Work grows like n^3, and memory that no trial takes is told of."""
-    monkeypatch.setattr(find, "TRIED", 100)
+    monkeypatch.setattr(scene, "TRIED", 100)
     monkeypatch.setattr(forecast, "most_resident", lambda: 10**6)
     tried, solve = [], dense.DenseSolver.solve
 
@@ -148,9 +148,9 @@ def test_whole_spectra_are_foreseen_by_smaller_ones(world, monkeypatch):
 
     monkeypatch.setattr(dense.DenseSolver, "solve", noted)
     with forecast.Rehearsal(world, 1) as crew:
-        find.find_modes(random_lattice((20, 20)), crew, method="dense")
-        find.find_modes(random_lattice((8, 8)), crew, method="dense")
-        some = find.find_modes(random_lattice((20, 20)), crew, method="dense", interval=(0.2, 0.7))
+        scene.find_modes(random_lattice((20, 20)), crew, method="dense")
+        scene.find_modes(random_lattice((8, 8)), crew, method="dense")
+        some = scene.find_modes(random_lattice((20, 20)), crew, method="dense", interval=(0.2, 0.7))
     if world.rank == 0:
         assert tried == [100, 64, 100]
         assert 100 < len(some.omega) < 300  # as if modes were spread evenly

@@ -10,8 +10,7 @@ from synthetic import fair
 
 import pgran
 from pgran.errors import InputError
-from pgran.experiments.modes import levels
-from pgran.experiments.modes import scene as modes
+from pgran.experiments.modes import levels, shapes
 from pgran.store.estimate import with_error
 
 
@@ -44,16 +43,16 @@ def test_spacings_in_words():
     """The numbers of each range of frequencies, in any unit; nothing where there are few."""
     rng = np.random.default_rng(3)
     spectra = [poisson(rng, 0.0, 1.4, 400.0) for _ in range(3)]
-    (line,) = modes.spacings([2.5 * omega for omega in spectra], 2.5)
+    (line,) = levels.spacings([2.5 * omega for omega in spectra], 2.5)
     for name, window in (("below .3", (0, 0.3)), ("from .3 to 1", (0.3, 1)), ("above 1", (1, 9))):
         found = levels.spacing_ratio(spectra, window)
         assert f"{with_error(found.value, found.error)} {name}" in line
     assert "extended modes 0.531, localized ones 0.386" in line
-    (line,) = modes.spacings([omega[omega < 1.1] for omega in spectra[:1]], 1.0)
+    (line,) = levels.spacings([omega[omega < 1.1] for omega in spectra[:1]], 1.0)
     assert "from .3 to 1 omega_mx" in line
-    assert not list(modes.spacings([np.linspace(0.1, 1.2, 20)], 1.0))
-    assert not list(modes.spacings([np.repeat(np.linspace(0.1, 1.2, 200), 3)], 1.0))
-    assert not list(modes.spacings(spectra, 0.0))
+    assert not list(levels.spacings([np.linspace(0.1, 1.2, 20)], 1.0))
+    assert not list(levels.spacings([np.repeat(np.linspace(0.1, 1.2, 200), 3)], 1.0))
+    assert not list(levels.spacings(spectra, 0.0))
 
 
 def test_modes_above_omega_mx_are_localized():
@@ -111,14 +110,14 @@ def test_modal_widths_are_those_of_damped_modes(shape, monkeypatch):
     K, C = (X.astype(float) for X in (reference_of(lattice).K, reference_of(lattice).C))
     _, modes, expected = widths_by(K, C, lattice)
     modes = 3.0 * modes.reshape(-1, *shape)  # of any length
-    widths = levels.modal_widths(lattice, modes)
+    widths = shapes.modal_widths(lattice, modes)
     np.testing.assert_allclose(widths, expected, rtol=1e-9)
     rates = np.block([[0 * K, np.eye(len(K))], [-K / 1.7, -1e-5 * C / 1.7]])
     s = np.linalg.eigvals(rates)
     s = sorted(s[s.imag > 0], key=lambda s: s.imag)
     np.testing.assert_allclose(-2 * np.real(s), widths, rtol=1e-3)
-    monkeypatch.setattr(levels, "NUMBERS_AT_ONCE", 3 * lattice.bonds)  # three modes at a time
-    np.testing.assert_allclose(levels.modal_widths(lattice, modes), widths, rtol=1e-12)
+    monkeypatch.setattr(shapes, "NUMBERS_AT_ONCE", 3 * lattice.bonds)  # three modes at a time
+    np.testing.assert_allclose(shapes.modal_widths(lattice, modes), widths, rtol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -129,7 +128,7 @@ def test_modal_widths_of_networks(seed):
     K, C = (reference.weighted(X).astype(float) for X in (reference.K, reference.C))
     values, _, expected = widths_by(K, C, network)
     modes = np.linalg.eigh(network.restoring_forces(np.eye(network.size)))[1].T
-    widths = levels.modal_widths(network, modes)
+    widths = shapes.modal_widths(network, modes)
     size = network.damping * np.abs(C).sum(axis=1).max() / network.mass
     assert abs(widths.sum() - expected.sum()) <= 1e-9 * size
     apart = np.diff(values, prepend=-np.inf, append=np.inf) > 1e-5 * np.abs(values).max()

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from pgran.driven.counting import real_matrix
 from pgran.driven.factors import RealFactors
 from pgran.driven.operators import Operators
-from pgran.experiments.modes import nearest
+from pgran.experiments.modes import normal, slices
 from pgran.experiments.modes.normal import ModeSolver
 from pgran.experiments.modes.scene import find_modes
 from pgran.medium import crystals as makers
@@ -68,25 +68,6 @@ def test_moved_and_missing_pivots_tell_nothing():
         RealFactors(sp.csc_matrix(np.ones((2, 2))), 0.0)
 
 
-@pytest.mark.parametrize("spread", [1.0, 1e6])
-def test_a_search_finds_the_modes_nearest_to_a_shift(spread):
-    """Of a matrix with known eigenvalues, those in magnitude nearest to 0, as dense algebra has."""
-    rng = np.random.default_rng(1)
-    Q, _ = np.linalg.qr(rng.standard_normal((80, 80)))
-    values = rng.standard_normal(80) * spread ** rng.random(80)
-    closest = np.argsort(np.abs(values))[:6]
-    found = nearest.lanczos(lambda b: Q @ (Q.T @ b / values), 80, 6)
-    overlaps = np.linalg.svd(found @ Q[:, closest], compute_uv=False)
-    np.testing.assert_allclose(overlaps, 1.0, atol=1e-9)
-    np.testing.assert_allclose(found @ found.T, np.eye(6), atol=1e-12)
-
-
-def test_a_search_without_an_end_finds_nothing():
-    """Where the space ends at once, and where a product is no number."""
-    assert nearest.lanczos(lambda b: 0.0 * b, 30, 4) is None
-    assert nearest.lanczos(lambda b: np.full_like(b, np.nan), 30, 4) is None
-
-
 def networks():
     """Random networks of all kinds, some unstable or floating, and crystals of equal modes."""
     for seed in range(16):
@@ -127,7 +108,7 @@ def test_what_is_proven_is_right(factors):
             for part in (0.0, 0.1, 0.35, 0.8, 1.1):
                 for count in (1, 6):
                     omega, tried = part * omegas[-1], tried + 1
-                    found = solver.interval(omega, count)
+                    found = slices.proven(solver, omega, count)
                     if found is None:
                         continue
                     low, high, search = found
@@ -148,17 +129,17 @@ def test_a_missing_mode_is_noticed(factors, monkeypatch):
     """The counts say more than a search has found; other searches find it after all."""
     network = makers.random_geometric(150, 3, 8.0, displacement="vector", seed=3)
     omegas, _ = frequencies(network)
-    target, searched, dropped = 0.3 * omegas[-1], nearest.Nearest.searched, []
+    target, near, dropped = 0.3 * omegas[-1], ModeSolver.near, []
 
-    def spoilt(self, value, wanted):
-        modes = searched(self, value, wanted)
-        there = np.argsort(np.abs(modes.values - value)) != 3
-        dropped.append(value)
-        return nearest.Modes(*(part[there] for part in modes))
+    def spoilt(self, search):
+        modes = near(self, search)
+        there = np.argsort(np.abs(modes.values - search.value)) != 3
+        dropped.append(search)
+        return normal.Modes(*(part[there] for part in modes))
 
-    monkeypatch.setattr(nearest.Nearest, "searched", spoilt)
+    monkeypatch.setattr(ModeSolver, "near", spoilt)
     with Operators(network, MPI.COMM_SELF) as operators, ModeSolver(operators) as solver:
-        assert solver.interval(target, 9) is None
+        assert slices.proven(solver, target, 9) is None
     modes = find_modes(network, targets=[target], count=9, method="eps")
     assert dropped
     assert modes.count_certified
@@ -180,24 +161,17 @@ def test_modes_depend_on_no_rank(factors, world):
         np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name))
 
 
-def test_factors_that_small_pivots_spoil_are_not_used(factors):
-    """A search whose shift is next to a pivot, beside which entries are lost."""
-    network = makers.random_geometric(150, 2, 5.0, displacement="vector", seed=5)
-    with Operators(network, MPI.COMM_SELF) as operators, ModeSolver(operators) as solver:
-        first = solver._nearest.K[0, 0]
-        assert solver._nearest.modes(nearest.Search(first * (1 - 4e-16), 8)) is None
-        assert solver._nearest.modes(nearest.Search(first * (1 - 1e-3), 8)) is not None
-
-
-def test_options_of_an_eps_have_their_meaning(solver_options):
+def test_options_of_an_eps_have_their_meaning(solver_options, monkeypatch):
     """Whoever sets one gets counts first, and searches as the options say."""
-    network = makers.random_geometric(100, 2, 5.0, seed=5)
-    with Operators(network, MPI.COMM_SELF) as operators:
-        with ModeSolver(operators) as solver:
-            assert solver.interval(0.37 * network.omega_mx, 4) is not None
-        solver_options("-normal_eps_tol 1e-12")
-        with ModeSolver(operators) as solver:
-            assert solver.interval(0.37 * network.omega_mx, 4) is None
+    network, near, searched = makers.random_geometric(100, 2, 5.0, seed=5), ModeSolver.near, []
+    monkeypatch.setattr(ModeSolver, "near", lambda *given: searched.append(1) or near(*given))
+    which = {"targets": [0.37 * network.omega_mx], "count": 4, "method": "eps"}
+    first = find_modes(network, **which)
+    assert searched
+    searched.clear()
+    solver_options("-normal_eps_tol 1e-12")
+    np.testing.assert_allclose(find_modes(network, **which).omega, first.omega, rtol=1e-10)
+    assert not searched
 
 
 def test_stiffness_is_stored_symmetric():

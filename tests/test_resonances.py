@@ -132,4 +132,4 @@ def test_detectors_of_modes_are_checked():
         pgran.ensemble("modes", 2, lattice={"shape": (4, 3)}, detectors=[(1, 1)])
     still = pgran.find_modes(dataclasses.replace(lattice, damping=0.0), detectors=[(1, 1)])
     assert np.all(np.isinf(still.quality))
-    assert not list(scene.resonances.summary(still, SI()))
+    assert not list(scene.resonances(still, SI()))

@@ -15,7 +15,6 @@ So no mode is missing, and none is twice, whatever LAPACK has done; what it retu
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -36,32 +35,12 @@ BLOCK = 256  # columns that are checked at a time
 MARGIN = 1.01  # covers the rounding of the bounds themselves
 
 
-def method_of(method, medium, interval=None, targets=None, count=None):
-    """Return `eps` or `dense`, which finds the modes that `find_modes` is asked for.
-
-    By `auto` that is what is faster for a network; who sets keys for an EPS has one.
-    """
-    if method != "auto":
-        return method
-    from pgran.run.petsc import PETSc
-
-    fits = medium.size <= LARGEST and 2 * memory(medium.size) <= total_memory()
-    if medium.is_grid or not fits or PETSc.Options("normal_").getAll():
-        return "eps"
-    modes = medium.size
-    if targets is not None:
-        modes = min(modes, len(targets) * count)
-    elif interval is not None:  # as if modes were spread evenly
-        top = math.sqrt(medium.stiffness_norm / medium.mass) or 1.0
-        low, high = np.clip(np.divide(interval, top), 0.0, 1.0)
-        modes *= high - low
-    return "dense" if is_faster(medium, modes) else "eps"
-
-
 def is_faster(network, modes):
-    """Return whether the whole spectrum of a network comes faster than so many modes by an EPS."""
-    whole = WHOLE * network.size**3
-    eps = EACH * modes * network.size
+    """Return whether a whole spectrum fits, and comes faster than so many modes by an EPS."""
+    n = network.size
+    if n > LARGEST or 2 * memory(n) > total_memory():
+        return False
+    whole, eps = WHOLE * n**3, EACH * modes * n
     if whole <= eps:  # however little the factors fill
         return True
     return whole <= eps + SOLVED * modes * network.graph.entries + COUNTED * network.graph.work
@@ -70,12 +49,6 @@ def is_faster(network, modes):
 def memory(size):
     """Return how many bytes a whole spectrum of so many unknowns takes."""
     return 8 * DOUBLES * size**2
-
-
-class Part(NamedTuple):
-    """The first unknowns of a medium, `count` of them; all but in a dry run."""
-
-    count: int
 
 
 class DenseSolver:
@@ -105,38 +78,28 @@ class DenseSolver:
         """
         K = stiffness_matrix(self.lattice)[:count, :count]
         try:
-            found = whole_spectrum(K)
+            values, vectors, residuals, radius = whole_spectrum(K)
         except (np.linalg.LinAlgError, MemoryError) as error:
             reason = str(error) or type(error).__name__
             raise PgranError(f"LAPACK computes no spectrum: {reason}; -modes_method eps") from error
-        self.radius = found.radius + self.lattice.rounding * self.lattice.stiffness_norm
-        vectors = found.vectors.T
-        if count < self.lattice.size:
-            vectors = np.pad(vectors, ((0, 0), (0, self.lattice.size - count)))
-        vectors = with_fixed_sign(vectors.reshape(count, *self.lattice.shape))
-        return found.values, vectors, found.residuals / (abs(K).sum(axis=1).max() or 1.0)
-
-
-class Spectrum(NamedTuple):
-    """All eigenvalues of K, ascending, shape (n,), with eigenvectors as columns, shape (n, n).
-
-    The j-th eigenvalue lies within `radius` of the j-th value; infinite where nothing is proven.
-    """
-
-    values: np.ndarray
-    vectors: np.ndarray
-    residuals: np.ndarray  # |K x - w x|_2 of each
-    radius: float
+        self.radius = radius + self.lattice.rounding * self.lattice.stiffness_norm
+        shapes = np.pad(vectors.T, ((0, 0), (0, self.lattice.size - count)))
+        shapes = with_fixed_sign(shapes.reshape(count, *self.lattice.shape))
+        return values, shapes, residuals / (abs(K).sum(axis=1).max() or 1.0)
 
 
 def whole_spectrum(K):
-    """Return all eigenvalues and eigenvectors of a symmetric sparse matrix as a `Spectrum`."""
+    """Return all eigenvalues of a symmetric sparse matrix, ascending, eigenvectors as columns,
+
+    |K x - w x|_2 of each, and a radius: the j-th eigenvalue lies within it of the j-th value. It is
+    infinite where nothing is proven.
+    """
     import scipy.linalg  # here: SciPy takes its time
 
     dense = K.toarray(order="F")
     driver = "evd" if len(dense) > 1 else "evr"  # SciPy 1.10 gives evd too little room for one
     values, vectors = scipy.linalg.eigh(dense, driver=driver, overwrite_a=True, check_finite=False)
-    return Spectrum(values, vectors, *enclosure(K, values, vectors))
+    return values, vectors, *enclosure(K, values, vectors)
 
 
 def enclosure(K, values, vectors):

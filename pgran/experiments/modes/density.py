@@ -11,37 +11,15 @@ from pgran.experiments.modes.record import Density
 from pgran.medium.base import check_frequency, medium
 from pgran.run.experiment import PROGRESS, Caution, in_parallel
 from pgran.run.numbers import numbers
-from pgran.run.options import INTEGER, Option, alternatives
 from pgran.run.task import Task, carry_out
 from pgran.store.record import columns_of, row_of
 from pgran.store.si import SI
 
-DENSITY = Option(
-    "modes_density", INTEGER, None,
-    "count the modes below so many frequencies, instead of finding them, from "
-    "-modes_omega_min (0) to -modes_omega_max (above all modes)",
-    low=2, high=10**6
-)  # fmt: skip
 # In mean distances of eigenvalues: how far a count stays clear of them; the second where rounding
 # is larger than the first, the others, down to MARGIN of |K|, where one is closer.
 CLEARANCES = (0.01, 0.1, 1e-4, 1e-6, 1e-8, 1e-10)
 MARGIN = 1e-11  # of |K|: how far a count is moved down at first where an eigenvalue is too close
 ATTEMPTS = 40  # each four times as far down
-
-
-def check(values, given):
-    """Let counts stand for modes, or the other way round, whichever is asked for later."""
-    if values.get("modes_density") is None:  # an accuracy study has no such option
-        return
-    chosen = "modes_target", "modes_damped", "modes_count", "modes_method", "modes_detectors"
-    alternatives(("modes_density",), chosen, values, given, whole=chosen[:2])
-    if values["modes_density"] is not None and values["output_fields"]:
-        fields = given["output_fields"]
-        if fields.rank >= given["modes_density"].rank:
-            raise InputError(
-                f"-output_fields{fields.where}: -modes_density computes no shapes; give one of them"
-            )
-        values["output_fields"] = False
 
 
 def frequencies(options, lattice):

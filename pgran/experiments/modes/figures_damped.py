@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 
 from pgran.draw import balls, captions, marks, scales, style
+from pgran.experiments.modes.damped import drive_of
 from pgran.experiments.modes.figures import ASIDE, pick
-from pgran.experiments.modes.resonances import drive_of
 from pgran.experiments.modes.shapes import least_frequency
 from pgran.store.estimate import counted
 

@@ -1,4 +1,4 @@
-"""Statistics of normal modes: their spacings, their widths, and how these overlap."""
+"""Statistics of normal modes: their spacings, and how their widths overlap."""
 
 import contextlib
 import math
@@ -17,7 +17,6 @@ REGIMES = ("below .3", 0.0, 0.3), ("from .3 to 1", 0.3, 1.0), ("above 1", 1.0, m
 GOE_SPACING_RATIO = 0.5307
 POISSON_SPACING_RATIO = 2 * math.log(2) - 1
 RATIOS_IN_PART = 10  # a ratio knows of its neighbours, with which it shares spacings
-NUMBERS_AT_ONCE = 1 << 22
 BELOW_ZERO = 1e-12  # of |K|: so that a K with modes at rest can be factored
 
 
@@ -108,26 +107,6 @@ def first_mode(lattice):
         shifted = {"sigma": -BELOW_ZERO * size, "v0": begun}
         square = eigsh(K, 1, return_eigenvectors=False, **shifted)[0]
     return math.sqrt(square / lattice.mass) if square > BELOW_ZERO * size else 0.0
-
-
-def modal_widths(lattice, vectors):
-    """Return Gamma = beta f^T C f / m of each mode f, C = B^T B of the dashpots, shape (nm,).
-
-    The full width at half power of |A|^2 along omega where the mode stands alone, to first order in
-    beta: S f = (m omega_i^2 - m omega^2 + i omega beta C) f, so that
-    |f^T A|^2 ~ 1 / ((omega_i - omega)^2 + (Gamma/2)^2). Drag adds f^T alpha f, loss angles
-    f^T L f / (m omega_i). The vectors, shape (nm, *lattice.shape),
-    may have any length.
-    """
-    widths, at_once = np.empty(len(vectors)), max(1, NUMBERS_AT_ONCE // lattice.bonds)
-    for first in range(0, len(vectors), at_once):
-        chunk = vectors[first : first + at_once]
-        springs = lattice.stretched(chunk, np.zeros(len(chunk)))
-        power = sum(longer**2 @ damped for longer, _, damped in springs)
-        size = np.sum(chunk.reshape(len(chunk), -1) ** 2, axis=1)
-        some = lattice.damping * power / (lattice.mass * size)
-        widths[first : first + at_once] = some + lattice.other_widths(chunk)
-    return widths
 
 
 def modal_overlap(omega, width, window):

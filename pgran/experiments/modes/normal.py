@@ -1,26 +1,26 @@
-"""Normal modes K f = lambda f, lambda = m omega^2, of one slice of the spectrum, with SLEPc.
+"""Normal modes K f = lambda f, lambda = m omega^2, by SLEPc: an EPS (option prefix `normal_`).
 
-The slice comes with the number of its modes (`slices`), and the solver searches until it has them
-all: an EPS (option prefix `normal_`), by default Krylov-Schur on (K - sigma)^-1, sigma in the
-middle of the slice; of networks, unless options are set, `nearest` first, in real arithmetic. A
-Krylov space sees one vector of each eigenspace, so copies of degenerate modes may be missing: the
-search is repeated in the orthogonal complement of what was found.
+By default it is Krylov-Schur on (K - sigma)^-1. A search goes either for what is nearest to a value
+(`near`), or for all modes of a slice of the spectrum, whose number is known (`solve`). A Krylov
+space sees one vector of each eigenspace, so copies of degenerate modes may be missing: in a slice
+the search is repeated in the orthogonal complement of what was found until they are all there.
 
 The complex build of SLEPc gives complex vectors. One Rayleigh-Ritz step in real arithmetic makes
 them real and orthonormal.
 """
 
-import contextlib
 import logging
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import slepc4py
 from mpi4py import MPI
 
-from pgran.driven.counting import flag_hermitian
+from pgran.driven.counting import complex_matrix, flag_hermitian, real_matrix
+from pgran.driven.factors import RealFactors
 from pgran.driven.operators import Owner
-from pgran.experiments.modes.nearest import Nearest
-from pgran.experiments.modes.shapes import rayleigh_ritz, residuals, with_fixed_sign
+from pgran.experiments.modes.shapes import with_fixed_sign
 from pgran.run.petsc import PETSc, plain_errors
 
 slepc4py.init([])  # PETSc has its options already
@@ -29,25 +29,41 @@ from slepc4py import SLEPc  # noqa: E402
 
 log = logging.getLogger("pgran")
 
+TOLERANCE = 1e-13  # of an eigenvalue of (K - sigma)^-1
 SEARCHES = 40
 SEARCH_AGAIN = 1e-13  # of |K|: residuals above it make the search start again from another sigma
-HELD_RESIDUAL = 5e-13  # of |K|: the same of modes that an earlier search has found
-ROUGHLY = 1e-6  # accuracy of eigenvalues that counts are to confirm
 REFINE = 2e-14  # of |K|: residuals above it are worth a step of refinement
 # Where sigma goes, as parts of the slice: elsewhere if modes are missing, or inaccurate because
 # sigma came too close to one. An interval or a contour is widened by the difference instead.
 SHIFTS = (0.5, 0.43, 0.57, 0.36, 0.64)
+RESTARTS = 8  # of a search near a value: where it takes more, modes are equal, and some are missed
+HELD = 4  # searches near a value whose modes are held until their slice is asked for
+ASIDE = 1e-8  # of |K|: how far from an eigenvalue sigma goes where there are no factors else
 # The eta of selective reorthogonalization: where a Krylov space is a small part of all, doing it
 # only for what has lost a digit saves a quarter of the time; else modes are missed. A search that
 # fails is repeated with SLEPc's own eta, .71.
 ETA, ETA_BALLS = 0.3, 5000
-# Multiplications of a network's factorization for each unknown up to which PETSc's own is faster
-# for the many solves of an EPS; beyond that MUMPS, unless SLEPc is to make slices, by inertias.
-PETSC_SOLVES = 30_000
+
+
+class Modes(NamedTuple):
+    """Real modes: lambda, ascending, orthonormal f, a row each, and |K f - lambda f| / |K|."""
+
+    values: np.ndarray
+    vectors: np.ndarray
+    residuals: np.ndarray
+
+    def within(self, low, high):
+        """Return those with low < lambda < high."""
+        inside = (self.values > low) & (self.values < high)
+        return Modes(*(part[inside] for part in self))
+
+    def defects(self, count):
+        """Return how many of `count` modes are missing or too many, and the largest residual."""
+        return abs(count - len(self.values)), self.residuals.max(initial=0.0)
 
 
 class ModeSolver(Owner):
-    """Finds the modes of slices of the spectrum of K, which is this rank's alone."""
+    """Finds modes of K, which is this rank's alone."""
 
     owns = ("_eps",)
     radius = np.nan  # within which eigenvalues lie for certain: none is known
@@ -55,109 +71,69 @@ class ModeSolver(Owner):
     def __init__(self, operators):
         self.lattice, self.K, self.comm = operators.lattice, operators.K, MPI.COMM_SELF
         flag_hermitian(self.K)
-        self._layout = operators.layout
         self.norm = self.K.norm(PETSc.NormType.INFINITY) or 1.0
-        self._eps, self._nearest = None, None
-        if not self.lattice.is_grid and not PETSc.Options("normal_").getAll():
-            self._nearest = Nearest(self)
+        self.type = PETSc.Options("normal_").getString("eps_type", "krylovschur")
+        self.by_default = not PETSc.Options("normal_").getAll()
+        self._layout, self._eps, self._near = operators.layout, None, {}
 
-    def interval(self, omega, count):
-        """See `Nearest.interval`; None where counts come first: lattices', or by options."""
-        return self._nearest and self._nearest.interval(omega, self.lattice.mass, count)
+    @cached_property
+    def real(self):
+        """K in real arithmetic, sparse by columns."""
+        return real_matrix(self.K)
+
+    def near(self, search):
+        """Return the modes nearest to a value, as many as wanted or more; None if some hide.
+
+        `search` is the value and the number. The modes are the same to the bit each time.
+        """
+        if search not in self._near:
+            if len(self._near) == HELD:
+                del self._near[next(iter(self._near))]
+            value, wanted = search
+            eps = self.make_eps(first=True)
+            eps.setTolerances(TOLERANCE, RESTARTS)
+            far = 2 * self.norm  # no eigenvalue is so far away
+            modes = self._modes(eps, value - far, value + far, wanted, searches=1)
+            eps.destroy()
+            self._near[search] = modes if len(modes.values) >= wanted else None
+        return self._near[search]
 
     def solve(self, low, high, count, search=None):
         """Return the modes with low < lambda < high, `count` of them, as far as they are found.
 
         They are lambda, ascending, the vectors f, shape (modes, *lattice.shape), real, orthonormal,
-        the largest entry positive, and the residuals |K f - lambda f| / |K|. A `search` of
-        `interval`, on this rank or on another one, has found them already; in other slices of a
-        network they are searched for in the same way first.
+        the largest entry positive, and the residuals |K f - lambda f| / |K|. A `search` of `near`,
+        on this rank or on another one, has found them already.
         """
-        best, self._failure = None, "the EPS did not converge"
-        held = None
-        if search:
-            held = self._nearest.modes(search)
-        elif self._nearest and 2 * count < self.lattice.size:
-            held = self._nearest.searched(0.5 * (low + high), count)
-        if held is not None:
-            values, vectors, residual = held
-            inside = (values > low) & (values < high)
-            shapes = with_fixed_sign(self._layout.fields(vectors[inside]))
-            best = values[inside], shapes, np.linalg.norm(residual[inside], axis=1) / self.norm
-            if _defects(best, count) <= (0, HELD_RESIDUAL):
-                return best
+        self._failure = "the EPS did not converge"
+        held = self.near(search) if search else None
+        best = held and held.within(low, high)
         for fraction in SHIFTS:
-            first = fraction == SHIFTS[0]
-            eps = self._eps = self._eps or self.make_eps(first)
-            rough = self._search(eps, low, high, count, fraction)
-            modes = self._real_modes(rough, low, high)
-            # pairs compare by their first numbers first: what is missing is worse than residuals
-            if _defects(modes, count) > (0, REFINE) and eps.getST().getType() == "sinvert":
-                modes = self._real_modes(self.refined(eps.getST(), rough), low, high)
-            if self._deflated or not first or _defects(modes, count) > (0, SEARCH_AGAIN):
-                eps.destroy()  # it never forgets what it was to deflate
-                self._eps = None
-            if best is None or _defects(modes, count) < _defects(best, count):
-                best = modes
-            if _defects(best, count) <= (0, SEARCH_AGAIN):
+            if best and best.defects(count) <= (0, SEARCH_AGAIN):
                 break
-        if len(best[0]) != count:
+            first = fraction == SHIFTS[0]
+            self._eps = self._eps or self.make_eps(first)
+            modes = self._modes(self._eps, low, high, count, fraction)
+            if self._deflated or not first or modes.defects(count) > (0, SEARCH_AGAIN):
+                self._eps.destroy()  # it never forgets what it was to deflate
+                self._eps = None
+            # pairs compare by their first numbers first: what is missing is worse than residuals
+            if best is None or modes.defects(count) < best.defects(count):
+                best = modes
+        if len(best.values) != count:
             log.warning(
                 "%d of %d modes found for omega^2 m from %.6g to %.6g: %s",
-                len(best[0]), count, low, high, self._failure,
+                len(best.values), count, low, high, self._failure,
             )  # fmt: skip
-        return best
+        return best.values, with_fixed_sign(self._layout.fields(best.vectors)), best.residuals
 
-    @contextlib.contextmanager
-    def inverse(self, value):
-        """Yield what multiplies real columns by (K - value)^-1, as an EPS would."""
-        eps = self.make_eps(first=True)
-        x, right = self.K.createVecs()
+    def _modes(self, eps, low, high, count, fraction=SHIFTS[0], searches=SEARCHES):
+        """Return the real modes of a slice that an EPS finds, refined where that pays."""
+        modes = self._rayleigh_ritz(self._search(eps, low, high, count, fraction, searches))
         st = eps.getST()
-
-        def multiply(columns):
-            found = np.empty_like(columns.T, order="C")
-            for there, column in zip(np.atleast_2d(found), np.atleast_2d(columns.T), strict=True):
-                right.setArray(column)
-                st.apply(right, x)
-                there[:] = x.getArray(readonly=True).real
-            return found.T
-
-        try:
-            with plain_errors():
-                st.setShift(value)
-                st.setUp()
-                yield multiply
-        finally:
-            for thing in (eps, x, right):
-                thing.destroy()
-
-    @plain_errors()
-    def nearest(self, value, count):
-        """Return roughly the eigenvalues nearest to a value; none where the EPS has no target.
-
-        Some may be missing, or belong to others' copies.
-        """
-        eps = self.make_eps(first=True)
-        values = []
-        if eps.getWhichEigenpairs() == SLEPc.EPS.Which.TARGET_MAGNITUDE:
-            eps.setTarget(value)
-            eps.setDimensions(min(count, self.lattice.size))
-            eps.setTolerances(ROUGHLY, 20)
-            self.start(eps, 0)
-            with contextlib.suppress(PETSc.Error), plain_errors():
-                eps.solve()
-                values = [eps.getEigenvalue(number).real for number in range(eps.getConverged())]
-        eps.destroy()
-        return np.array(values)
-
-    def _real_modes(self, rough, low, high):
-        """Return values, shapes and residuals of the slice's real modes that vectors span."""
-        values, vectors = rayleigh_ritz(self.lattice, self._layout.fields(rough))
-        inside = (values > low) & (values < high)
-        values, vectors = values[inside], vectors[inside]
-        residual = residuals(self.lattice, values, vectors) / self.norm
-        return values, with_fixed_sign(vectors), residual
+        if modes.within(low, high).defects(count) > (0, REFINE) and st.getType() == "sinvert":
+            modes = self._rayleigh_ritz(self._refined(st, modes))
+        return modes.within(low, high)
 
     @plain_errors()
     def make_eps(self, first):
@@ -166,34 +142,34 @@ class ModeSolver(Owner):
         eps.setOptionsPrefix("normal_")
         eps.setOperators(self.K)
         eps.setProblemType(SLEPc.EPS.ProblemType.HEP)
-        eps.setType(eps_type())
-        eps.setTolerances(1e-13, 200)
-        if eps.getType() == "lapack":
+        eps.setType(self.type)
+        eps.setTolerances(TOLERANCE, 200)
+        if self.type == "lapack":
             eps.getDS().setMethod(2)  # divide and conquer; the default QR is five times as slow
-        elif eps.getType() == "ciss":
+        elif self.type == "ciss":
             eps.setWhichEigenpairs(SLEPc.EPS.Which.ALL)
         else:
             eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
             if first and self.lattice.size >= ETA_BALLS:
                 eps.getBV().setOrthogonalization(eta=ETA)
-            invert(eps.getST(), self.lattice)
+            invert(eps.getST(), self.lattice, PETSc.Options("normal_").getBool("eps_all", False))
         eps.setFromOptions()
         return eps
 
-    def _search(self, eps, low, high, count, fraction):
-        """Return eigenvectors of the slice, a row each, searching on while some are missing."""
+    def _search(self, eps, low, high, count, fraction, searches):
+        """Return eigenvectors of a slice, a row each, searching on while some are missing."""
         inside, seen = [], []  # copies of those in the slice; all that converged, to be deflated
         self._deflated = False
-        once = eps.getType() == "lapack" or eps.getWhichEigenpairs() == SLEPc.EPS.Which.ALL
+        once = self.type == "lapack" or eps.getWhichEigenpairs() == SLEPc.EPS.Which.ALL
         try:
             with plain_errors():
-                for _ in range(1 if once else SEARCHES):
+                for _ in range(1 if once else searches):
                     before = len(seen)
                     self._aim(eps, low, high, count - len(inside), before, fraction)
                     if seen:
                         eps.setDeflationSpace(seen)
                         self._deflated = True
-                    self.start(eps, before)
+                    self._start(eps, before)
                     eps.solve()
                     for number in range(eps.getConverged()):
                         vector = self.K.createVecLeft()
@@ -214,7 +190,7 @@ class ModeSolver(Owner):
         """Tell the EPS where to search, and for how many modes."""
         width = high - low
         margin = abs(fraction - SHIFTS[0]) * width
-        if eps.getType() == "ciss":
+        if self.type == "ciss":
             # A flat ellipse around the slice, with room for half as many vectors again. More
             # moments would need fewer vectors, but lose digits.
             rg = eps.getRG()
@@ -225,12 +201,12 @@ class ModeSolver(Owner):
             eps.setCISSSizes(points, block, moments, 1, block)
         elif eps.getWhichEigenpairs() == SLEPc.EPS.Which.ALL:
             eps.setInterval(low - margin, high + margin)
-        elif eps.getType() != "lapack":
+        elif self.type != "lapack":
             eps.setTarget(low + fraction * width)
             room = self.lattice.size - seen
             eps.setDimensions(missing, min(room, missing + missing // 3 + 12))
 
-    def start(self, eps, seen):
+    def _start(self, eps, seen):
         """Start from a random vector that depends on nothing but how many modes were seen.
 
         Another search needs another one: what the last one left out is orthogonal to its own.
@@ -241,50 +217,101 @@ class ModeSolver(Owner):
         eps.setInitialSpace(vector)
         vector.destroy()
 
+    def _rayleigh_ritz(self, rows):
+        """Return the real modes in the span of complex vectors, a row each.
+
+        With rows X, orthonormal and spanning whole eigenspaces of a real matrix, the projector on
+        their span is real: X^H X = Re(X)^T Re(X) + Im(X)^T Im(X). So the singular values of
+        [Re X; Im X] are 1, as often as there are rows, and 0: a real orthonormal basis comes
+        without loss of accuracy, and no cluster of equal eigenvalues needs to be told from its
+        neighbours.
+        """
+        parts = np.concatenate([rows.real, rows.imag]) if np.any(rows.imag) else rows.real
+        weights, rotation = np.linalg.eigh(parts @ parts.T)
+        ones = weights > 0.1  # fewer than there are rows if these are not what they should be
+        basis = (rotation[:, ones] / np.sqrt(weights[ones])).T @ parts
+        forces = self._forces(basis)
+        energy = basis @ forces.T
+        values, rotation = np.linalg.eigh(0.5 * (energy + energy.T))
+        vectors = rotation.T @ basis
+        wrong = rotation.T @ forces - values[:, None] * vectors
+        return Modes(values, vectors, np.linalg.norm(wrong, axis=1) / self.norm)
+
+    def _forces(self, vectors):
+        """Return K f of each row f."""
+        x, product = self.K.createVecs()
+        forces = np.empty_like(vectors)
+        for vector, force in zip(vectors, forces, strict=True):
+            x.setArray(vector)
+            self.K.mult(x, product)
+            force[:] = product.getArray(readonly=True).real
+        x.destroy()
+        product.destroy()
+        return forces
+
     @plain_errors()
-    def refined(self, st, rough):
-        """Return x - (K - sigma)^-1 (K x - lambda x) for eigenvectors x, a row each.
+    def _refined(self, st, modes):
+        """Return f - (K - sigma)^-1 (K f - lambda f) for modes f whose residuals are worth it.
 
         An LDL^T without pivoting is that of a matrix nearby, whose modes the EPS finds. This step
         takes out what they contain of modes farther from sigma than lambda; Rayleigh-Ritz does the
         rest.
         """
-        x, residual = self.K.createVecs()
-        refined = rough.copy()
-        for vector in refined:
-            x.setArray(vector)
-            self.K.mult(x, residual)
-            residual.axpy(-residual.dot(x) / x.dot(x), x)
-            st.apply(residual, x)
-            vector -= x.getArray()
+        poor = modes.residuals > REFINE
+        wrong = self._forces(modes.vectors[poor]) - modes.values[poor, None] * modes.vectors[poor]
+        right, x = self.K.createVecs()
+        for row in wrong:
+            right.setArray(row)
+            st.apply(right, x)
+            row[:] = x.getArray(readonly=True).real
+        right.destroy()
         x.destroy()
-        residual.destroy()
+        refined = modes.vectors.copy()
+        refined[poor] -= wrong
         return refined
 
 
-def invert(st, medium):
-    """Let a solver see the inverse of a shifted matrix, by its factors."""
+def invert(st, medium, by_inertia=False):
+    """Let a solver see the inverse of a shifted matrix, by factors, with inertias if asked."""
     st.setType("sinvert")
     st.getKSP().setType("preonly")
     pc = st.getKSP().getPC()
+    if fills(medium) and not by_inertia:
+        pc.setType("python")
+        pc.setPythonContext(SymmetricFactors())
+        return
     pc.setType("cholesky")
-    if not medium.elimination.numbered:
-        return
-    pc.setFactorOrdering("natural")  # unknowns are numbered in the order of elimination
-    if medium.is_grid:
-        return
-    own_slices = PETSc.Options("normal_").getBool("eps_all", False)
-    if medium.graph.work > PETSC_SOLVES * medium.size and not own_slices:
-        pc.setType("lu")  # MUMPS has no LDL^T of Hermitian matrices
-        pc.setFactorSolverType("mumps")
+    if medium.elimination.numbered:  # unknowns are numbered in the order of elimination
+        pc.setFactorOrdering("natural")
 
 
-def _defects(modes, count):
-    """Return how many modes are missing or too many, and the largest residual."""
-    values, _, residual = modes
-    return abs(count - len(values)), residual.max(initial=0.0)
+class SymmetricFactors:
+    """A PC for PETSc: SuperLU's factors of a symmetric matrix, real ones where it is real.
+
+    Where factors fill, its dense blocks are much faster than PETSc's own complex LDL^T.
+    """
+
+    def setUp(self, pc):
+        """Factor the matrix."""
+        matrix, _ = pc.getOperators()
+        S = complex_matrix(matrix)
+        S.eliminate_zeros()
+        self.is_real = not np.any(S.data.imag)
+        S = S.real.copy() if self.is_real else S
+        try:
+            self._factors = RealFactors(S, 0.0)
+        except ZeroDivisionError:  # sigma is an eigenvalue
+            self._factors = RealFactors(S, ASIDE * (abs(S).max() or 1.0))
+
+    def apply(self, pc, right, x):
+        """Set x to the solution."""
+        b = right.getArray(readonly=True)
+        if self.is_real and np.any(b.imag):
+            x.setArray(self._factors.solve(np.stack([b.real, b.imag], axis=1)) @ [1, 1j])
+        else:
+            x.setArray(self._factors.solve(b.real.copy() if self.is_real else b))
 
 
-def eps_type():
-    """Return the type of EPS that the options ask for; `lapack` finds all modes at once."""
-    return PETSc.Options("normal_").getString("eps_type", "krylovschur")
+def fills(medium):
+    """Return whether the factors of a medium have so many more entries that SuperLU is faster."""
+    return medium.elimination.costly or (medium.is_grid and medium.axes > 2)

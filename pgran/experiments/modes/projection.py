@@ -7,9 +7,8 @@ from pgran.driven import drive as driven
 from pgran.driven.amplitudes import fit_line
 from pgran.driven.drive import FrequencySweep
 from pgran.errors import InputError
-from pgran.experiments.modes.find import SITES, find_modes
 from pgran.experiments.modes.record import Projection
-from pgran.experiments.modes.scene import certificate, check_modes
+from pgran.experiments.modes.scene import SITES, certificate, check_modes, find_modes
 from pgran.medium.base import check_frequency, medium
 from pgran.run.experiment import PROGRESS, Scene, call, in_parallel, options_of
 from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, driving_frequencies

@@ -1,8 +1,26 @@
-"""The spectrum cut by counts into slices that hold the wanted modes.
+"""The slices of the spectrum that hold the wanted modes, and how many modes each has.
 
-lambda  ----|--------------|----------|-----------------|---->     lambda = m omega^2
-below       0              57        110               171         a `Cut` each
-             `--57 modes--' `---53---' `------61------'            a slice each: (low, high, 57)
+    lambda  ----|--------------|----------|-----------------|---->     lambda = m omega^2
+    below       0              57        110               171         a `Cut` each
+                 `--57 modes--' `---53---' `------61------'            a `Slice` each
+
+For all modes, or those of an interval, counts come first: at its ends, then between them (`split`).
+
+Modes nearest to a frequency are searched first. Their values tell where to count: in the widest
+gaps that leave the wanted modes between them, one factorization each (`proven`).
+
+    lambda  --x-|--x-o-oo-o---o-oo-|---x-->    o wanted, x found beside them, | a cut
+
+With K - cut = L D L^T + E at either cut, |E|_2 <= eps, and m more negative pivots at the upper one,
+let m of the modes found, X with R = K X - X W and |X^T X - 1|_F <= delta < 1, all lie farther than
+
+    sqrt(2) |R|_F / sqrt(1 - delta)
+
+inside (low + eps, high - eps). Then K has exactly m eigenvalues there: no more by the counts, and
+no fewer, since to each value belongs an eigenvalue of its own within that distance (W. Kahan; see
+G. W. Stewart and J. Sun, Matrix Perturbation Theory, section IV.4). Where that proves nothing, as
+where modes are equal and a search misses some, counts widen an interval around the frequency until
+it has the wanted modes (`around`).
 """
 
 from itertools import pairwise
@@ -11,9 +29,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pgran.driven.counting import ModeCounter
+from pgran.driven.factors import RealFactors
 from pgran.errors import PgranError
-from pgran.experiments.modes.nearest import SPARE, Cut, Search
-from pgran.experiments.modes.normal import eps_type
+from pgran.medium.base import EPSILON
 from pgran.run.agreement import agreeing
 
 SLICE = 60  # modes that are computed together; measured for 40 x 40 and 100 x 100
@@ -21,6 +39,24 @@ MARGIN = 1e-11  # of |K|: how far the ends of an interval are moved outward
 WIDE = 1e-8  # the same at most where an interval's ends are as good as any others nearby
 CLOSE = 1e-4  # part of an interval: ends that near need not be told apart
 ATTEMPTS = 40  # at an end, at an interval around a frequency, at cutting what is left
+SPARE = 4  # modes that are searched for beyond those that are wanted
+TRIES = 3  # searches, each for half as many modes again, until there are gaps
+PLACES = (0.5, 0.36, 0.64)  # parts of a gap where it is counted, the next if one is no good
+ROOM = 0.8  # part of the way to a gap's nearer side that eps may be
+
+
+class Cut(NamedTuple):
+    """A value of lambda that is clear of all eigenvalues, and how many of them lie below it."""
+
+    shift: float
+    below: int
+
+
+class Search(NamedTuple):
+    """Finds so many modes nearest to a value of lambda."""
+
+    value: float
+    wanted: int
 
 
 class Slice(NamedTuple):
@@ -32,41 +68,128 @@ class Slice(NamedTuple):
     search: Search | None = None
 
 
-def find_slices(solver, crew, interval=None, targets=None, count=None):
+def find_slices(solver, crew, wanted):
     """Return the slices of the spectrum that hold the wanted modes, as `pgran.find_modes` has them.
 
     Collective: the ranks share out the counts. From the lowest frequency 0 on modes include the
     unstable ones. In a dry run one slice amid the wanted modes stands for all, unless searches have
     found them. The `solver` has a K of this rank alone.
     """
-    world, mass = crew.world, solver.lattice.mass
+    world, mass, count = crew.world, solver.lattice.mass, wanted.count
     with ModeCounter(solver.K, solver.lattice) as counter:
-        if targets is None:
-            low, high = interval or (0.0, np.inf)
+        if wanted.targets is None:
+            low, high = wanted.interval or (0.0, np.inf)
             sides = [(mass * low**2, -1), (mass * high**2, 1)]
             intervals = [(*shared(world, sides, lambda side: end(counter, *side)), None)]
         else:
-            wanted = targets[:: max(1, len(targets) // 3)] if crew.dry else targets
+            targets = wanted.targets
+            apart = 2 * len(targets) * (count + SPARE) <= counter.order  # else they share modes
+            few = count <= SLICE or counter.costly
+            search_first = apart and few and solver.by_default
+            tried = targets[:: max(1, len(targets) // 3)] if crew.dry else targets
 
             def nearest_to(omega):
-                found = solver.interval(omega, count)
-                if found is not None:
+                found = search_first and count <= SLICE and proven(solver, omega, count)
+                if found:
                     return found
-                reach = _reach(solver, omega, mass, count) if counter.costly else None
+                reach = search_first and _reach(solver, omega, count)
                 return (*around(counter, omega, mass, count, reach), None)
 
-            intervals = _united(shared(world, wanted, nearest_to))
-        searches = [search for *_, search in intervals]
-        intervals = [ends for *ends, _ in intervals]
-        if eps_type() == "lapack":  # which needs no slices
-            return _between(intervals)
-        if crew.dry and None in searches:
+            intervals = _united(shared(world, tried, nearest_to))
+        if solver.type == "lapack":  # which needs no slices
+            return _between([(low, high) for low, high, _ in intervals])
+        if crew.dry and any(search is None for *_, search in intervals):
             return _like_one_slice(counter, intervals, mass)
         slices = []
-        for ends, search in zip(intervals, searches, strict=True):
-            pieces = cut(counter, ends, world) if search is None else _between([ends])
+        for low, high, search in intervals:
+            pieces = _between([(low, high)]) if search else split(counter, (low, high), world)
             slices += [piece._replace(search=search) for piece in pieces]
         return slices
+
+
+def proven(solver, omega, count):
+    """Return cuts below and above the `count` modes nearest to omega, and the search for them.
+
+    None where it is not proven that the search finds all modes between the cuts.
+    """
+    mass, norm, order = solver.lattice.mass, solver.norm, solver.lattice.size
+    wanted = count + SPARE
+    for _ in range(TRIES):
+        search = Search(mass * omega**2, wanted)
+        found = solver.near(search) if 2 * wanted <= order else None
+        if found is None:
+            return None
+        farthest = _distances(found.values, omega, mass)[count - 1]
+        sides = [mass * side * abs(side) for side in (omega - farthest, omega + farthest)]
+        reach = np.abs(found.values - search.value).max()
+        first, last = search.value - reach, search.value + reach
+        least = 0.0 if solver.lattice.semidefinite else -norm
+        if first <= least:  # the search has reached below all eigenvalues
+            low = Cut(least - MARGIN * norm, 0)
+        else:
+            low = _cut_in_gap(solver.real, found.values, first, sides[0], 1)
+        if last >= norm:
+            high = Cut((1 + MARGIN) * norm, order)
+        else:
+            high = low and _cut_in_gap(solver.real, found.values, sides[1], last, -1)
+        if low and high:
+            return (low, high, search) if _is_complete(solver, found, low, high) else None
+        wanted += wanted // 2
+    return None
+
+
+def _cut_in_gap(K, values, start, stop, side):
+    """Return a cut in the widest gap between start and stop, moved inward by its error.
+
+    `side` is 1 at an interval's lower end, -1 at its upper one. None where no count is certain.
+    """
+    inside = values[(values > start) & (values < stop)]
+    edges = np.concatenate([[start], inside, [stop]])
+    widest = np.argmax(np.diff(edges))
+    start, width = edges[widest], edges[widest + 1] - edges[widest]
+    for place in PLACES if width > 0 else ():
+        shift = start + place * width
+        try:
+            factors = RealFactors(K, shift)
+        except ZeroDivisionError:
+            continue
+        room = ROOM * min(place, 1 - place) * width
+        error = factors.error(room)
+        if error <= room:
+            return Cut(shift + side * error, factors.negative)
+    return None
+
+
+def _is_complete(solver, modes, low, high):
+    """Return whether the modes between two cuts are proven to be all eigenvalues there."""
+    values, vectors, residuals = modes.within(low.shift, high.shift)
+    if len(values) != high.below - low.below or not len(values):
+        return not len(values) and high.below == low.below
+    # What rounding adds: each entry of a product of n factors is off by less than n EPSILON / 2 of
+    # the magnitudes that it is summed from.
+    order, squares = vectors.shape[1], vectors @ vectors.T
+    delta = np.linalg.norm(squares - np.eye(len(values)))
+    delta += 1.01 * order * EPSILON * np.trace(squares)
+    met = int(np.diff(solver.real.indptr).max())
+    size = solver.norm + np.abs(values).max()
+    rounding = (met + 3) * EPSILON * size * np.sqrt(order * np.trace(squares))
+    radius = np.sqrt(2.0) * (solver.norm * np.linalg.norm(residuals) + rounding)
+    if not delta < 1:
+        return False
+    radius /= np.sqrt(1 - delta)
+    return low.shift < values.min() - radius and values.max() + radius < high.shift
+
+
+def _distances(values, omega, mass):
+    """Return how far modes are from omega, ascending."""
+    return np.sort(np.abs(np.sign(values) * np.sqrt(np.abs(values) / mass) - omega))
+
+
+def _reach(solver, omega, count):
+    """Return a distance from omega within which there seem to be `count` modes; None if unknown."""
+    some, mass = min(count, SLICE), solver.lattice.mass
+    found = solver.near(Search(mass * omega**2, some + SPARE))
+    return found and _distances(found.values, omega, mass)[some - 1] * count / some
 
 
 def end(counter, shift, side, margin=MARGIN):
@@ -121,7 +244,7 @@ def around(counter, omega, mass, wanted, reach=None):
     return best
 
 
-def cut(counter, ends, comm):
+def split(counter, ends, comm):
     """Cut an interval into slices of about SLICE modes, the largest first; none is empty.
 
     Collective over `comm`, whose ranks share out the counts. All cuts keep clear of eigenvalues,
@@ -142,7 +265,12 @@ def cut(counter, ends, comm):
             break
         counts = shared(comm, shifts, lambda shift: counter.below(shift, clearance))
         cuts |= {Cut(*pair) for pair in zip(shifts, counts, strict=True) if pair[1] is not None}
-    return _merged(sorted(cuts))
+    first, *middle, last = sorted(cuts)
+    chosen = [first]
+    for candidate, following in pairwise([*middle, last]):  # small neighbours are joined
+        if following.below - chosen[-1].below > SLICE:
+            chosen.append(candidate)
+    return sorted(_between(pairwise([*chosen, last])), key=lambda piece: -piece.count)
 
 
 def shared(comm, items, work):
@@ -162,16 +290,6 @@ def _between(pairs):
     return [piece for piece in slices if piece.count > 0]
 
 
-def _merged(cuts):
-    """Return the slices between cuts, neighbours joined where they are small."""
-    first, *middle, last = cuts
-    chosen = [first]
-    for candidate, following in pairwise([*middle, last]):
-        if following.below - chosen[-1].below > SLICE:
-            chosen.append(candidate)
-    return sorted(_between(pairwise([*chosen, last])), key=lambda piece: -piece.count)
-
-
 def _united(intervals):
     """Return intervals with overlapping ones joined, whose modes no single search has found."""
     joined = []
@@ -183,21 +301,10 @@ def _united(intervals):
     return joined
 
 
-def _reach(solver, omega, mass, count):
-    """Return a distance from omega within which there seem to be `count` modes; None if unknown."""
-    squares = solver.nearest(mass * omega**2, count + SPARE)
-    omegas = np.sign(squares) * np.sqrt(np.abs(squares) / mass)
-    apart = np.sort(np.abs(omegas - omega))[max(count - 1, 0) : count + SPARE]
-    if len(apart) < 2:
-        return None
-    widest = np.argmax(np.diff(apart))  # there the count is the surest
-    return 0.5 * (apart[widest] + apart[widest + 1])
-
-
 def _like_one_slice(counter, intervals, mass):
     """Return as many slices as intervals need, all of them one that lies amid the first."""
-    total = sum(high.below - low.below for low, high in intervals)
-    low, high = (min(max(ends.shift, 0.0), counter.norm) for ends in intervals[0])
+    total = sum(high.below - low.below for low, high, _ in intervals)
+    low, high = (min(max(ends.shift, 0.0), counter.norm) for ends in intervals[0][:2])
     omega = (0.5 * (low + high) / mass) ** 0.5
     pieces = []
     while total > 0:
