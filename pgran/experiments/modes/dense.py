@@ -89,10 +89,9 @@ class DenseSolver:
 
 
 def whole_spectrum(K):
-    """Return all eigenvalues of a symmetric sparse matrix, ascending, eigenvectors as columns,
+    """Return values w, ascending, vectors x as columns, |K x - w x|_2 of each, and a radius.
 
-    |K x - w x|_2 of each, and a radius: the j-th eigenvalue lies within it of the j-th value. It is
-    infinite where nothing is proven.
+    K is symmetric and sparse. Its j-th eigenvalue lies within the radius of the j-th value.
     """
     import scipy.linalg  # here: SciPy takes its time
 

@@ -74,21 +74,20 @@ class Counts(Task):
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
-        mass = self.scaled.mass
         with counter_of(self.scaled) as counter:
+            yield lambda omega: self._count(counter, omega)
 
-            def work(omega):
-                shift = mass * omega**2
-                count, margin = count_below(counter, shift)
-                rows = np.zeros(1, self.row)
-                rows["certified"] = count is not None
-                rows["count"] = -1 if count is None else count
-                moved = (shift - margin) / mass  # of an unstable mode's omega below 0
-                if margin:
-                    rows["margin"] = omega - math.copysign(math.sqrt(abs(moved)), moved)
-                return rows
-
-            yield work
+    def _count(self, counter, omega):
+        """Return the row of a frequency."""
+        shift = self.scaled.mass * omega**2
+        count, margin = count_below(counter, shift)
+        rows = np.zeros(1, self.row)
+        rows["certified"] = count is not None
+        rows["count"] = -1 if count is None else count
+        moved = (shift - margin) / self.scaled.mass  # of an unstable mode's omega below 0
+        if margin:
+            rows["margin"] = omega - math.copysign(math.sqrt(abs(moved)), moved)
+        return rows
 
     def collect(self, rows, seconds):
         """See `Task`."""

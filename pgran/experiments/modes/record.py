@@ -86,13 +86,24 @@ def exactness(record, number="{:.1e}".format):
     return f"proven by their residuals, omega to {typical} (median; at most {most})"
 
 
-def _missing(record):
-    """Return how many modes are missing or too many, at least 1 unless they are certified."""
-    return 0 if record.count_certified else max(1, abs(record.count_expected - record.count_found))
+class Counted:
+    """A record of modes, or on modes, that says how many there are: `count_expected`."""
+
+    each_mode = "omega"  # the array that has an entry for each
+
+    @property
+    def count_found(self):
+        """How many modes there are here."""
+        return len(getattr(self, self.each_mode))
+
+    @property
+    def missing(self):
+        """How many modes are missing or too many, at least 1 unless they are certified."""
+        return 0 if self.count_certified else max(1, abs(self.count_expected - self.count_found))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Modes(Record):
+class Modes(Counted, Record):
     """Normal modes K f = m omega^2 f (paper: modepic), `nm` of them.
 
     `count_expected` says how many there are, `count_certified` whether all of these were found,
@@ -139,14 +150,9 @@ class Modes(Record):
     )  # fmt: skip
 
     @property
-    def count_found(self):
-        """How many modes there are here."""
-        return len(self.omega)
-
-    @property
     def failures(self):
         """How many modes are missing or inaccurate."""
-        return _missing(self)
+        return self.missing
 
     @property
     def quality(self):
@@ -174,7 +180,7 @@ class Modes(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DampedModes(Record):
+class DampedModes(Counted, Record):
     """Damped modes S(s) x = 0, s = -width / 2 + i omega with omega >= 0, `nm` of them.
 
     Modes of omega = 0 are overdamped. With rigidity 0 several have become one (critical damping):
@@ -207,7 +213,6 @@ class DampedModes(Record):
         "mode", "balls", dtype=complex, optional=True, row=True,
     )  # fmt: skip
 
-    count_found = property(lambda self: len(self.eigenvalue), doc="How many modes there are here.")
     omega = property(lambda self: self.eigenvalue.imag, doc="The angular frequency of each mode.")
 
     @property
@@ -236,7 +241,7 @@ class DampedModes(Record):
     @property
     def failures(self):
         """How many modes are poor or missing, at least 1 unless that is certain, or nobody asks."""
-        return self.poor + (0 if self.certificate == "none" else _missing(self))
+        return self.poor + (0 if self.certificate == "none" else self.missing)
 
     def exactness(self, number="{:.1e}".format):
         """Return in words how sure it is that no mode is missing."""
@@ -273,19 +278,16 @@ class DampedModes(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Projection(Frequencies, Record):
+class Projection(Counted, Frequencies, Record):
     """The driven lattice in terms of its normal modes (paper: cidef, onefreq, maxci, cifreq).
 
     `nw` driving frequencies, `nm` modes. A frequency whose `converged_reason` is not positive
     missed the accuracy asked for.
     """
 
-    group = "projection"
+    group, each_mode = "projection", "mode_omega"
     count_expected: int
     count_certified: bool
-    factorizations: int
-    solve_seconds: float
-    omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
     mode_omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
     coefficient: np.ndarray = array(
         "sum over balls of amplitude times mode shape", "1", "omega", "mode_omega", dtype=complex,
@@ -297,20 +299,12 @@ class Projection(Frequencies, Record):
     error_bound: np.ndarray = array(
         "bound of the field's part in each coefficient's error; NaN: none is known", "1", "omega"
     )
-    converged_reason: np.ndarray = array(
-        "positive: as accurate as asked", "1", "omega", dtype=int, row=True
-    )
     mode_omega_bound: np.ndarray | None = array(
         "bound of the error of mode_omega, as `omega_bound` of modes",
         "sqrt(k/m)", "mode_omega", optional=True,
     )  # fmt: skip
 
     @property
-    def count_found(self):
-        """How many modes there are here."""
-        return len(self.mode_omega)
-
-    @property
     def failures(self):
         """How many frequencies missed their accuracy, and how many modes are missing."""
-        return super().failures + _missing(self)
+        return super().failures + self.missing

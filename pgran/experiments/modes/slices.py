@@ -40,7 +40,7 @@ WIDE = 1e-8  # the same at most where an interval's ends are as good as any othe
 CLOSE = 1e-4  # part of an interval: ends that near need not be told apart
 ATTEMPTS = 40  # at an end, at an interval around a frequency, at cutting what is left
 SPARE = 4  # modes that are searched for beyond those that are wanted
-TRIES = 3  # searches, each for half as many modes again, until there are gaps
+MORE = 1, 1.5, 2.25  # times as many are searched for until there are gaps beside the wanted ones
 PLACES = (0.5, 0.36, 0.64)  # parts of a gap where it is counted, the next if one is no good
 ROOM = 0.8  # part of the way to a gap's nearer side that eps may be
 
@@ -83,17 +83,13 @@ def find_slices(solver, crew, wanted):
             intervals = [(*shared(world, sides, lambda side: end(counter, *side)), None)]
         else:
             targets = wanted.targets
-            apart = 2 * len(targets) * (count + SPARE) <= counter.order  # else they share modes
-            few = count <= SLICE or counter.costly
-            search_first = apart and few and solver.by_default
+            apart = 2 * len(targets) * count <= counter.order  # else they share modes
+            search_first = apart and count <= SLICE and solver.by_default
             tried = targets[:: max(1, len(targets) // 3)] if crew.dry else targets
 
             def nearest_to(omega):
-                found = search_first and count <= SLICE and proven(solver, omega, count)
-                if found:
-                    return found
-                reach = search_first and _reach(solver, omega, count)
-                return (*around(counter, omega, mass, count, reach), None)
+                found = proven(solver, omega, count) if search_first else None
+                return found or (*around(counter, omega, mass, count), None)
 
             intervals = _united(shared(world, tried, nearest_to))
         if solver.type == "lapack":  # which needs no slices
@@ -113,17 +109,17 @@ def proven(solver, omega, count):
     None where it is not proven that the search finds all modes between the cuts.
     """
     mass, norm, order = solver.lattice.mass, solver.norm, solver.lattice.size
-    wanted = count + SPARE
-    for _ in range(TRIES):
-        search = Search(mass * omega**2, wanted)
-        found = solver.near(search) if 2 * wanted <= order else None
+    least = 0.0 if solver.lattice.semidefinite else -norm
+    for more in MORE:
+        search = Search(mass * omega**2, int(more * (count + SPARE)))
+        found = solver.near(search) if 2 * search.wanted <= order else None
         if found is None:
             return None
-        farthest = _distances(found.values, omega, mass)[count - 1]
+        omegas = np.sign(found.values) * np.sqrt(np.abs(found.values) / mass)
+        farthest = np.sort(np.abs(omegas - omega))[count - 1]
         sides = [mass * side * abs(side) for side in (omega - farthest, omega + farthest)]
         reach = np.abs(found.values - search.value).max()
         first, last = search.value - reach, search.value + reach
-        least = 0.0 if solver.lattice.semidefinite else -norm
         if first <= least:  # the search has reached below all eigenvalues
             low = Cut(least - MARGIN * norm, 0)
         else:
@@ -134,7 +130,6 @@ def proven(solver, omega, count):
             high = low and _cut_in_gap(solver.real, found.values, sides[1], last, -1)
         if low and high:
             return (low, high, search) if _is_complete(solver, found, low, high) else None
-        wanted += wanted // 2
     return None
 
 
@@ -180,18 +175,6 @@ def _is_complete(solver, modes, low, high):
     return low.shift < values.min() - radius and values.max() + radius < high.shift
 
 
-def _distances(values, omega, mass):
-    """Return how far modes are from omega, ascending."""
-    return np.sort(np.abs(np.sign(values) * np.sqrt(np.abs(values) / mass) - omega))
-
-
-def _reach(solver, omega, count):
-    """Return a distance from omega within which there seem to be `count` modes; None if unknown."""
-    some, mass = min(count, SLICE), solver.lattice.mass
-    found = solver.near(Search(mass * omega**2, some + SPARE))
-    return found and _distances(found.values, omega, mass)[some - 1] * count / some
-
-
 def end(counter, shift, side, margin=MARGIN):
     """Return a cut at the lower end of an interval, `side` -1, or the upper one, 1, moved outward.
 
@@ -216,17 +199,16 @@ def end(counter, shift, side, margin=MARGIN):
     )
 
 
-def around(counter, omega, mass, wanted, reach=None):
+def around(counter, omega, mass, wanted):
     """Return both ends of an interval around `omega` with `wanted` modes or a few more.
 
-    It is symmetric in omega, so that the modes nearest to omega are in it; first it is tried to
-    extend as far as `reach`. A reach too short and one too long are bisected, or less where the
-    counts suggest a better one.
+    It is symmetric in omega, so that the modes nearest to omega are in it. A reach too short and
+    one too long are bisected, or less where the counts suggest a better one.
     """
     wanted = min(wanted, counter.order)
     few = wanted + max(4, wanted // 4)
     short, long, top = 0.0, np.inf, np.sqrt(counter.norm / mass)
-    reach = reach or top * wanted / counter.order
+    reach = top * wanted / counter.order
     for _ in range(ATTEMPTS):
         first, last = omega - reach, omega + reach  # below 0: unstable
         lowest, highest = mass * first * abs(first), mass * last**2
