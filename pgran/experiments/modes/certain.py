@@ -23,7 +23,6 @@ point to point, phases tell the growth.
 import contextlib
 import itertools
 import math
-from functools import cache
 
 import numpy as np
 
@@ -171,29 +170,105 @@ def number_within(K, C, m, centre, radius, proven=False):
     They are counted by the phase of det S and its derivative; or proven, which takes some counts
     and a thousand factorizations and more, the nearer modes are to the rim.
     """
-    pencil, points = Quadratic(K, C, m), itertools.count()
-
-    def at(angle):
-        if next(points) == MOST:
-            raise ArithmeticError("too many points")
-        return pencil.at(centre + radius * np.exp(1j * angle))
-
+    ring = (ProvenRing if proven else Ring)(Quadratic(K, C, m), centre, radius)
     try:
-        growth = _proven(pencil, centre, radius, at) if proven else _counted(at)
-        parts = [_grown(growth, k * math.pi / 8, (k + 1) * math.pi / 8) for k in range(16)]
+        parts = [_grown(ring, k * math.pi / 8, (k + 1) * math.pi / 8) for k in range(16)]
         return round(sum(parts) / (2 * math.pi))
     except ArithmeticError:
         return None
 
 
-def _grown(growth, start, end):
-    """Return the growth along an arc of a circle, summed over halves where it is None."""
-    if (grown := growth(start, end)) is not None:
+def _grown(ring, start, end):
+    """Return the growth of the phase along an arc, summed over halves where it is None."""
+    if (grown := ring.growth(start, end)) is not None:
         return grown
     if end - start < AHEAD:
         raise ArithmeticError("a mode at the rim")
     middle = (start + end) / 2
-    return _grown(growth, start, middle) + _grown(growth, middle, end)
+    return _grown(ring, start, middle) + _grown(ring, middle, end)
+
+
+class Ring:
+    """The phase of det S on a circle, told by its derivative: where a trapezoid fits, none is lost.
+
+    A mode within half the arc of it would bend the logarithm's derivative by more than CHANGE.
+    """
+
+    def __init__(self, pencil, centre, radius):
+        self.pencil, self.centre, self.radius = pencil, centre, radius
+        self._points, self._known = itertools.count(), {}
+
+    def factors(self, angle):
+        """Return the factors of S at an angle."""
+        return RealFactors(self.matrix(angle), 0.0)
+
+    def matrix(self, angle):
+        """Return S at an angle."""
+        if next(self._points) == MOST:
+            raise ArithmeticError("too many points")
+        return self.pencil.at(self.centre + self.radius * np.exp(1j * angle))
+
+    def logarithm(self, angle):
+        """Return log det S at an angle, and its derivative along the circle."""
+        if angle not in self._known:
+            here, ahead = (_logarithm(self.factors(a)) for a in (angle, angle + AHEAD))
+            self._known[angle] = here, _wrapped(ahead - here) / AHEAD
+        return self._known[angle]
+
+    def growth(self, start, end):
+        """Return by how much the phase grows along an arc, None where that is too long to tell."""
+        (first, slope), (last, slope_last) = self.logarithm(start), self.logarithm(end)
+        trapezoid = (end - start) * (slope + slope_last) / 2
+        off = _wrapped(last - first - trapezoid)
+        coarse = abs(off) > AGREE or (end - start) * abs(slope - slope_last) > CHANGE
+        return None if coarse else (trapezoid + off).imag
+
+
+class ProvenRing(Ring):
+    """The same, proven: between two points the phase cannot turn by pi."""
+
+    def __init__(self, pencil, centre, radius):
+        super().__init__(pencil, centre, radius)
+        size = abs(centre) + radius
+        self.slope = radius * pencil.slope(size)  # for each rad
+        self.blur = pencil.rounding(size) + 32 * EPSILON * size * pencil.slope(size)
+
+    def growth(self, start, end):
+        """Return by how much the phase grows along an arc, None where that is too long to tell."""
+        apart = self.slope * (end - start) / 2  # of S along the arc from S in its middle
+        most = self._inverses(self.matrix((start + end) / 2), apart)
+        if most is None:
+            return None
+        # so many points that the phase turns by less than 2 rad from one to the next
+        phases = []
+        for angle in np.linspace(start, end, 2 + int(apart * most)):
+            factors = self.factors(angle)
+            wrong = factors.error(0.1 / most) + self.blur
+            if not 2 * most * wrong + 100 * EPSILON * self.pencil.size < 0.5:
+                raise ArithmeticError("inaccurate factors")
+            phases.append(_logarithm(factors).imag)
+        return sum(math.remainder(step, 2 * math.pi) for step in np.diff(phases))
+
+    def _inverses(self, S, apart):
+        """Return what no sum of 1 / sigma, so near to S, is above; None if it may be infinite.
+
+        Singular values between two levels count as if they were at the lower one, each level
+        lowered by what it may be wrong; those above the last level as if they were there.
+        """
+        size, total, counted, clear = self.pencil.size, 0.0, 0, np.inf
+        for level in 2 * apart * 4.0 ** np.arange(LEVELS):
+            factors = RealFactors(doubled(S), level)
+            last, clear = clear, level - factors.error(0.1 * level) - self.blur - apart
+            if not clear > 0:
+                return None
+            below = factors.negative - size
+            if last == np.inf and below > 0:
+                return None
+            total += (below - counted) / last
+            counted = below
+            if size - counted < clear * total:  # those left add less than is there
+                break
+        return MARGIN * (total + (size - counted) / clear)
 
 
 def _logarithm(factors):
@@ -206,61 +281,3 @@ def _logarithm(factors):
 def _wrapped(step):
     """Return a step of a logarithm, its phase between -pi and pi."""
     return complex(step.real, math.remainder(step.imag, 2 * math.pi))
-
-
-def _counted(at):
-    """Return what tells by how much the phase grows, None where a trapezoid is too coarse.
-
-    A mode within half the arc of it would bend the logarithm's derivative by more than CHANGE.
-    """
-
-    @cache
-    def logarithm(angle):
-        here, ahead = (_logarithm(RealFactors(at(a), 0.0)) for a in (angle, angle + AHEAD))
-        return here, _wrapped(ahead - here) / AHEAD
-
-    def growth(start, end):
-        (first, slope), (last, slope_last) = logarithm(start), logarithm(end)
-        trapezoid = (end - start) * (slope + slope_last) / 2
-        off = _wrapped(last - first - trapezoid)
-        coarse = abs(off) > AGREE or (end - start) * abs(slope - slope_last) > CHANGE
-        return None if coarse else (trapezoid + off).imag
-
-    return growth
-
-
-def _proven(pencil, centre, radius, at):
-    """Return the same, proven, None where an arc is too long for that."""
-    size = abs(centre) + radius
-    slope = radius * pencil.slope(size)  # for each rad
-    blur = pencil.rounding(size) + 32 * EPSILON * size * pencil.slope(size)
-
-    def inverses(S, apart):
-        """Return what no sum of 1 / sigma, so near to S, is above; None if it may be infinite."""
-        total, counted, clear = 0.0, 0, np.inf
-        for level in 2 * apart * 4.0 ** np.arange(LEVELS):
-            factors = RealFactors(doubled(S), level)
-            last, clear = clear, level - factors.error(0.1 * level) - blur - apart
-            if not clear > 0 or (last == np.inf and factors.negative > pencil.size):
-                return None
-            total += (factors.negative - pencil.size - counted) / last
-            counted = factors.negative - pencil.size
-            if pencil.size - counted < clear * total:
-                break
-        return MARGIN * (total + (pencil.size - counted) / clear)
-
-    def growth(start, end):
-        apart = slope * (end - start) / 2
-        most = inverses(at((start + end) / 2), apart)
-        if most is None:
-            return None
-        phases = []
-        for angle in np.linspace(start, end, 2 + int(apart * most)):
-            factors = RealFactors(at(angle), 0.0)
-            wrong = 2 * most * (factors.error(0.1 / most) + blur) + 100 * EPSILON * pencil.size
-            if not wrong < 0.5:
-                raise ArithmeticError("inaccurate factors")
-            phases.append(_logarithm(factors).imag)
-        return sum(math.remainder(step, 2 * math.pi) for step in np.diff(phases))
-
-    return growth
