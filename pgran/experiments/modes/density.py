@@ -3,6 +3,7 @@
 import contextlib
 import math
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,12 @@ from pgran.run.numbers import numbers
 from pgran.run.task import Task, carry_out
 from pgran.store.record import columns_of, row_of
 from pgran.store.si import SI
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pgran.medium.base import Medium
+    from pgran.run.crew import Crew
 
 # In mean distances of eigenvalues: how far a count stays clear of them; the second where rounding
 # is larger than the first, the others, down to MARGIN of |K|, where one is closer.
@@ -32,8 +39,17 @@ def frequencies(options, lattice):
 
 
 @in_parallel(lattice=medium, omegas=partial(numbers, "omegas"))
-def count_modes(lattice, omegas, crew=None, *, progress=PROGRESS):
+def count_modes(
+    lattice: "Medium",
+    omegas: "ArrayLike",
+    crew: "Crew | None" = None,
+    *,
+    progress: str = PROGRESS,
+) -> Density | None:
     """Count the normal modes below each of some frequencies; no mode is computed.
+
+    As many eigenvalues of K lie below m omega^2 as K - m omega^2 = L D L^T has negative entries in
+    D (Sylvester's law of inertia).
 
     Collective. One rank counts at each frequency, on its own copy of the lattice.
 
@@ -51,6 +67,11 @@ def count_modes(lattice, omegas, crew=None, *, progress=PROGRESS):
     ------
     InputError
         If the frequencies do not increase, or are too high to compute with.
+
+    Examples
+    --------
+    >>> pgran.count_modes(pgran.Lattice.random((6, 5), seed=1), [0.3, 0.6, 0.9]).count
+    array([ 1, 14, 26])
     """
     # not >: NaN too
     if omegas.ndim != 1 or len(omegas) < 2 or not (omegas[0] >= 0 and np.all(np.diff(omegas) > 0)):

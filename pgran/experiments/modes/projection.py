@@ -1,5 +1,7 @@
 """Scene `projection`: the driven lattice in terms of its normal modes, over a sweep."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from pgran.arguments import shown
@@ -15,6 +17,12 @@ from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, drivi
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted
 from pgran.store.record import columns_of, row_of
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pgran.medium.base import Medium
+    from pgran.run.crew import Crew
 
 ALL_MODES = 3600  # balls; of a larger lattice only the modes near each driving frequency
 NEAR = 60  # so many
@@ -45,17 +53,17 @@ def _which(which):
 
 @in_parallel("project", lattice=medium, omegas=checked_frequencies, which=_which)
 def project(
-    lattice,
-    omegas,
-    crew=None,
-    which=None,
+    lattice: "Medium",
+    omegas: "ArrayLike",
+    crew: "Crew | None" = None,
+    which: dict | None = None,
     *,
-    method=find_modes.declared["method"],
-    error_tolerance=driven.STEADY["error_tolerance"],
-    error_floor=driven.STEADY["error_floor"],
-    refresh_iterations=driven.STEADY["refresh_iterations"],
-    progress=PROGRESS,
-):
+    method: str = find_modes.declared["method"],
+    error_tolerance: float = driven.STEADY["error_tolerance"],
+    error_floor: float = driven.STEADY["error_floor"],
+    refresh_iterations: int = driven.STEADY["refresh_iterations"],
+    progress: str = PROGRESS,
+) -> Projection | None:
     """Project driven steady states on normal modes: c_i = sum_p A_p f_i(p) (paper: cidef).
 
     Collective. The modes are computed once; fields are not kept. The error of a coefficient is at
@@ -70,6 +78,12 @@ def project(
     -------
     pgran.results.Projection or None
         With a crew of the caller's None on all ranks but rank 0.
+
+    Examples
+    --------
+    >>> found = pgran.project(pgran.Lattice.random((6, 5), seed=1), [0.3, 0.6])
+    >>> found.mode_omega[found.dominant].round(3)  # the drive moves a mode of its frequency
+    array([0.306, 0.599])
     """
     scaled, _ = lattice.in_own_unit()
     check_frequency(scaled, omegas[-1])  # before any work

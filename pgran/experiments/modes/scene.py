@@ -12,12 +12,12 @@ import contextlib
 import dataclasses
 import math
 import time
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.experiments.modes.record import Modes, exactness
+from pgran.experiments.modes.record import DampedModes, Modes, exactness
 from pgran.experiments.modes.shapes import RESIDUAL, Resonances, least_frequency, participation
 from pgran.medium.base import EPSILON, check_frequency, medium, warn_above_modes
 from pgran.run.agreement import on_root
@@ -39,6 +39,12 @@ from pgran.store.estimate import counted
 from pgran.store.record import ball_names, columns_of, row_of
 from pgran.store.si import SI
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pgran.medium.base import Medium
+    from pgran.run.crew import Crew
+
 MARGIN = 1.01  # covers the rounding of bounds
 TRIED = 600  # unknowns of a whole spectrum that a dry run computes
 SMALL = 200  # unknowns up to which LAPACK has all damped modes sooner than a search has some
@@ -59,10 +65,10 @@ DENSITY = Option(
 
 @in_parallel("modes", lattice=medium, detectors=DETECTORS)
 def find_modes(
-    lattice,
-    crew=None,
+    lattice: "Medium",
+    crew: "Crew | None" = None,
     *,
-    interval=window(
+    interval: tuple[float, float] | None = window(
         option(
             None, "lower end of the interval of modes", "angular", key="modes_omega_min", kind=REAL,
             low=0,
@@ -72,36 +78,36 @@ def find_modes(
             above=0,
         ),
     ),
-    targets=option(
+    targets: "ArrayLike | None" = option(
         None, "find modes nearest to these frequencies", "angular", key="modes_target", kind=REALS,
         low=0,
     ),
-    count=option(
+    count: int | None = option(
         None,
         "how many modes nearest to a target; of a projection without one, to each frequency",
         kind=INTEGER, low=1,
     ),
-    method=option(
+    method: str = option(
         "auto",
         "eps, slices of the spectrum by SLEPc, certified by counts; dense, the whole spectrum by "
         "LAPACK, proven by residuals; auto, eps for lattices, what is faster for networks",
         choices=("auto", "eps", "dense"),
     ),
-    damped=option(
+    damped: bool = option(
         False,
         "find damped modes, S(s) x = 0, with frequencies and widths: all by LAPACK, or those "
         "nearest to i times -modes_target by SLEPc's PEP",
     ),
-    certificate=option(
+    certificate: str = option(
         "auto",
         "whether no damped mode near a target is missing: counted, by the phase of det S around "
         "them; proven, each mode too, which takes long; none; auto, counted up to 5000 unknowns",
         choices=("auto", "none", "counted", "proven"),
     ),
-    detectors=None,
-    shapes=option(False, "store the shapes of the modes", key="output_fields"),
-    progress=PROGRESS,
-):  # fmt: skip
+    detectors: "ArrayLike | None" = None,
+    shapes: bool = option(False, "store the shapes of the modes", key="output_fields"),
+    progress: str = PROGRESS,
+) -> Modes | DampedModes | None:  # fmt: skip
     """Find the normal modes K f = m omega^2 f, all unless an interval or targets are given.
 
     Collective. By `eps` the spectrum is cut into slices by counts, which every rank makes, and the
@@ -131,6 +137,15 @@ def find_modes(
         fit into the memory.
     PgranError
         If the modes cannot be counted, or LAPACK fails.
+
+    Examples
+    --------
+    >>> lattice = pgran.Lattice.random((6, 5), seed=1)
+    >>> modes = pgran.find_modes(lattice, targets=[0.5], count=3)
+    >>> modes.omega.round(3)
+    array([0.48 , 0.489, 0.523])
+    >>> modes.count_certified  # none is missing
+    True
     """
     if interval is not None and targets is not None:
         raise InputError("-modes_target: contradicts an interval; give one of them")
