@@ -1,4 +1,4 @@
-"""What is proven of damped modes, against closed forms; campaigns/damped.py has other laws."""
+"""What factors and circles prove, against closed forms; campaigns/damped.py has other laws."""
 
 import numpy as np
 import pytest
@@ -20,21 +20,46 @@ def chain(size, part=0.02, mass=2.0):
     return (K, part * K, mass), -gamma + 1j * np.sqrt(squares - gamma**2), x
 
 
-def test_the_smallest_singular_value_and_the_error_of_factors_are_bounded():
-    for seed in range(30):
-        rng = np.random.default_rng(seed)
-        half, other = (sp.random(12, 12, 0.2, random_state=rng) for _ in range(2))
-        half = half + 1j * other + sp.diags(rng.standard_normal(12))
-        S = (half + half.T).tocsc()
-        S.sort_indices()
+def random_factors(seed):
+    """A sparse symmetric matrix, real or complex, a shift, often near a pivot, and the factors."""
+    rng = np.random.default_rng(seed)
+    half, other = (sp.random(12, 12, 0.2, random_state=rng) for _ in range(2))
+    half = half + (1j * other if seed % 2 else 0) + sp.diags(rng.standard_normal(12))
+    S = (half + half.T).tocsc()
+    S.sort_indices()
+    shift = 0.0 if seed % 2 else S[0, 0] + rng.choice([1e-12, -1e-9, 1e-6, 1.0])
+    return S, shift, RealFactors(S, shift)
+
+
+def test_errors_of_factors_are_bounded_and_counts_within_them():
+    for seed in range(60):
+        S, shift, factors = random_factors(seed)
+        if factors.pivots is None:
+            assert factors.error() == np.inf
+            continue
+        place = np.argsort(factors._factors.perm_c)
+        L = factors._factors.L.toarray().astype(np.clongdouble)
+        shifted = S.toarray() - shift * np.eye(12, dtype=np.longdouble)
+        exact = shifted[np.ix_(place, place)] - (L * factors.pivots) @ L.T
+        error = factors.error()
+        assert np.linalg.norm(exact.astype(complex), 2) <= error <= factors.error(np.inf)
+        if seed % 2 == 0:
+            values, edge = np.linalg.eigvalsh(S.toarray()), error + 1e-14 * abs(S).sum()
+            low, high = (np.count_nonzero(values < shift + side * edge) for side in (-1, 1))
+            assert low <= factors.negative <= high
+    swapped = RealFactors(sp.csc_matrix([[0.0, 1.0], [1.0, 0.0]]), 0.0)  # moved pivots tell nothing
+    assert (swapped.negative, swapped.error()) == (None, np.inf)
+    np.testing.assert_allclose(swapped.solve(np.array([2.0, 3.0])), [3.0, 2.0])
+    with pytest.raises(ZeroDivisionError, match="singular"):
+        RealFactors(sp.csc_matrix(np.ones((2, 2))), 0.0)
+
+
+def test_the_smallest_singular_value_is_bounded():
+    for seed in range(1, 60, 2):
+        S, *_ = random_factors(seed)
         least = np.linalg.svd(S.toarray(), compute_uv=False)[-1]
         assert 0.97 * least < proven_least(S, 0.99 * least) <= 0.99 * least
         assert proven_least(S, 1.01 * least) == proven_least(S, np.nan) == 0
-        factors = RealFactors(S, 0.0)
-        place = np.argsort(factors._factors.perm_c)
-        L = factors._factors.L.toarray().astype(np.clongdouble)
-        exact = S.toarray()[np.ix_(place, place)] - (L * factors.pivots) @ L.T
-        assert np.linalg.norm(exact.astype(complex), 2) <= factors.error() < 1e-9
 
 
 @pytest.mark.parametrize("double", [False, True])

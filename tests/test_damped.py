@@ -104,27 +104,29 @@ def test_critical_damping_is_said_to_be_defective():
     assert isinstance(lines[1], Caution)  # without discs
 
 
-@pytest.mark.parametrize("law", [{"drag": 4.0}, {"damping": 5.0, "drag": 8.0}])
-def test_where_no_mode_rings(law):
-    """Half of the real modes have x^T (2 s m + C) x < 0, and so an imaginary x."""
-    lattice = pgran.Lattice.random((3, 2), **{"damping": 0.0} | law)
-    modes = pgran.find_modes(lattice, damped=True, detectors=[(1, 1)])
-    assert not modes.omega.any()
-    exact = pgran.sweep(lattice, [0.3, 0.9], [(1, 1)], error_tolerance=1e-10).displacement
-    np.testing.assert_allclose(modes.response([0.3, 0.9]), exact, rtol=1e-9)
-
-
-def test_modes_that_ring_beside_much_faster_ones():
-    """What is small against the largest |s| is not defective."""
-    drag = np.zeros(4)
-    drag[1] = 1e6
-    chain = pgran.Network([[0, 1], [1, 2], [2, 3]], [1.0, 1.0, 2.0], [2, 0, 0, 0], drag=drag)
-    modes = pgran.find_modes(chain, damped=True, detectors=[2])
-    assert np.abs(modes.eigenvalue).max() > 9e5
-    assert np.count_nonzero(modes.omega) == 2
+@pytest.mark.parametrize(
+    ("medium", "ringing"),
+    [  # half of modes that do not ring have x^T (2 s m + C) x < 0, and so an imaginary x
+        (pgran.Lattice.random((3, 2), damping=0.0, drag=4.0), 0),
+        (pgran.Lattice.random((3, 2), damping=5.0, drag=8.0), 0),
+        # beside |s| = 1e6 what is small is not defective
+        (
+            pgran.Network(
+                [[0, 1], [1, 2], [2, 3]], [1.0, 1.0, 2.0], [2, 0, 0, 0], drag=[0, 1e6, 0, 0]
+            ),
+            2,
+        ),
+    ],
+)
+def test_residues_of_modes_that_ring_or_not_make_the_response(medium, ringing):
+    site = (1, 1) if medium.is_grid else 2
+    modes = pgran.find_modes(medium, damped=True, detectors=[site])
+    assert np.count_nonzero(modes.omega) == ringing
     assert np.isfinite(modes.residue).all()
-    exact = pgran.sweep(chain, [0.3], [2], error_tolerance=1e-10).displacement
-    np.testing.assert_allclose(modes.response([0.3]), exact, atol=1e-9)
+    exact = pgran.sweep(medium, [0.3, 0.9], [site], error_tolerance=1e-10).displacement
+    np.testing.assert_allclose(
+        modes.response([0.3, 0.9]), exact, rtol=1e-9, atol=1e-9 * bool(ringing)
+    )
 
 
 @pytest.mark.parametrize("target", [0.0, 0.4])
@@ -146,13 +148,13 @@ def test_a_search_finds_the_nearest_of_all(world, target):
     assert len(some.omega) == np.count_nonzero((every.imag >= 0.2) & (every.imag <= 0.4))
 
 
-@pytest.mark.parametrize("mass", [1e-30, 1e-12, 1e20])
+@pytest.mark.parametrize("mass", [1e-30, 1e20])
 def test_a_search_does_not_depend_on_the_unit_of_time(mass):
-    lattice = random_lattice((6, 5), 3, 0.05)
+    lattice = random_lattice((5, 4), 3, 0.05)
     light = pgran.Lattice(lattice.stiffness, mass, 0.05 * np.sqrt(mass))
     here, there = (
         pgran.find_modes(
-            each, damped=True, method="eps", targets=[0.2 * each.omega_mx], count=5, shapes=True,
+            each, damped=True, method="eps", targets=[0.2 * each.omega_mx], count=4, shapes=True,
             detectors=[(2, 3)], certificate="proven",
         )
         for each in (lattice, light)

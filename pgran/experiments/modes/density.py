@@ -95,7 +95,15 @@ class Counts(Task):
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
-        with counter_of(self.scaled) as counter:
+        from mpi4py import MPI
+
+        from pgran.driven.counting import ModeCounter
+        from pgran.driven.operators import Operators
+
+        with (
+            Operators(self.scaled, MPI.COMM_SELF) as own,
+            ModeCounter(own.K, own.lattice) as counter,
+        ):
             yield lambda omega: self._count(counter, omega)
 
     def _count(self, counter, omega):
@@ -128,18 +136,6 @@ class Counts(Task):
             density=np.where(certified[1:] & certified[:-1], density, math.nan),
             **columns,
         )
-
-
-@contextlib.contextmanager
-def counter_of(medium):
-    """Return, for a `with`, what counts the eigenvalues of K, of a medium in its own unit."""
-    from mpi4py import MPI
-
-    from pgran.driven.counting import ModeCounter
-    from pgran.driven.operators import Operators
-
-    with Operators(medium, MPI.COMM_SELF) as own, ModeCounter(own.K, medium) as counter:
-        yield counter
 
 
 def count_below(counter, shift):
