@@ -56,12 +56,20 @@ def nearest_faults(case, seen):
     network, rng = case.network, np.random.default_rng([20, case.seed])
     with mp.workdps(50):
         eigenvalues = NetworkReference(network).eigenvalues()
+    omegas = np.sqrt(np.abs(eigenvalues) / network.mass)
+    near = rng.choice(omegas, 2) * (1 + rng.choice([0, 1e-12, -1e-9, 1e-6], 2))
+    asked = [0.0, *rng.uniform(0, 1.1 * omegas.max(), 3), *near]
+    asked = [(omega, int(rng.integers(1, 4))) for omega in asked]
+    for fault in faults_near(network, eigenvalues, asked, seen):
+        yield f"NEAREST case {case.seed}, {fault}"
+
+
+def faults_near(network, eigenvalues, asked, seen):
+    """Yield what is false of modes near frequencies, so many each, by all eigenvalues of K."""
     norm, mass = np.abs(eigenvalues).max(), network.mass
     omegas = np.sign(eigenvalues) * np.sqrt(np.abs(eigenvalues) / mass)
-    near = np.abs(rng.choice(omegas, 2)) * (1 + rng.choice([0, 1e-12, -1e-9, 1e-6], 2))
     with Operators(network, MPI.COMM_SELF) as operators, ModeSolver(operators) as solver:
-        for omega in [0.0, *rng.uniform(0, 1.1 * np.abs(omegas).max(), 3), *near]:
-            count = int(rng.integers(1, 4))
+        for omega, count in asked:
             found = nearest_modes(solver, omega, count)
             seen["targets"] += 1
             if found is None:
@@ -69,14 +77,14 @@ def nearest_faults(case, seen):
             seen["proven"] += 1
             low, high, values = found
             inside = (eigenvalues > low) & (eigenvalues < high)
-            apart, where = np.abs(omegas - omega), f"case {case.seed}, {omega=:.6g}"
+            apart, where = np.abs(omegas - omega), f"{omega=:.6g}"
             if len(values) != np.count_nonzero(inside):
-                yield f"NEAREST {where}: {len(values)} of {np.count_nonzero(inside)}"
-            elif not np.allclose(values, eigenvalues[inside], rtol=0, atol=1e-11 * norm):
-                yield f"NEAREST {where}: elsewhere"
+                yield f"{where}: {len(values)} of {np.count_nonzero(inside)}"
+            elif not np.allclose(values, eigenvalues[inside], rtol=0, atol=2e-13 * norm):
+                yield f"{where}: elsewhere"
             farthest = np.sort(apart[inside])[count - 1] if len(values) >= count else np.inf
-            if farthest > np.sort(apart)[count - 1] + 1e-6 * np.sqrt(norm / mass):
-                yield f"NEAREST {where}: others are nearer"
+            if farthest > np.sort(apart)[count - 1] + 1e-9 * np.sqrt(norm / mass):
+                yield f"{where}: others are nearer"
 
 
 def count_faults(case, seen):

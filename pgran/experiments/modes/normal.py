@@ -10,7 +10,7 @@ them real and orthonormal.
 """
 
 import logging
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +37,7 @@ REFINE = 2e-14  # of |K|: residuals above it are worth a step of refinement
 # sigma came too close to one. An interval or a contour is widened by the difference instead.
 SHIFTS = (0.5, 0.43, 0.57, 0.36, 0.64)
 RESTARTS = 8  # of a search near a value: where it takes more, modes are equal, and some are missed
-HELD = 4  # searches near a value whose modes are held until their slice is asked for
+HELD = 4  # searches near a value
 ASIDE = 1e-8  # of |K|: how far from an eigenvalue sigma goes where there are no factors else
 # The eta of selective reorthogonalization: where a Krylov space is a small part of all, doing it
 # only for what has lost a digit saves a quarter of the time; else modes are missed. A search that
@@ -74,29 +74,26 @@ class ModeSolver(Owner):
         self.norm = self.K.norm(PETSc.NormType.INFINITY) or 1.0
         self.type = PETSc.Options("normal_").getString("eps_type", "krylovschur")
         self.by_default = not PETSc.Options("normal_").getAll()
-        self._layout, self._eps, self._near = operators.layout, None, {}
+        self._layout, self._eps = operators.layout, None
+        self.near = lru_cache(HELD)(self._near)  # modes are held until their slice is asked for
 
     @cached_property
     def real(self):
         """K in real arithmetic, sparse by columns."""
         return real_matrix(self.K)
 
-    def near(self, search):
+    def _near(self, search):
         """Return the modes nearest to a value, as many as wanted or more; None if some hide.
 
         `search` is the value and the number. The modes are the same to the bit each time.
         """
-        if search not in self._near:
-            if len(self._near) == HELD:
-                del self._near[next(iter(self._near))]
-            value, wanted = search
-            eps = self.make_eps(first=True)
-            eps.setTolerances(TOLERANCE, RESTARTS)
-            far = 2 * self.norm  # no eigenvalue is so far away
-            modes = self._modes(eps, value - far, value + far, wanted, searches=1)
-            eps.destroy()
-            self._near[search] = modes if len(modes.values) >= wanted else None
-        return self._near[search]
+        value, wanted = search
+        eps = self.make_eps(first=True)
+        eps.setTolerances(TOLERANCE, RESTARTS)
+        far = 2 * self.norm  # no eigenvalue is so far away
+        modes = self._modes(eps, value - far, value + far, wanted, searches=1)
+        eps.destroy()
+        return modes if len(modes.values) >= wanted else None
 
     def solve(self, low, high, count, search=None):
         """Return the modes with low < lambda < high, `count` of them, as far as they are found.
