@@ -126,10 +126,11 @@ class ModeSolver(Owner):
 
     def _modes(self, eps, low, high, count, fraction=SHIFTS[0], searches=SEARCHES):
         """Return the real modes of a slice that an EPS finds, refined where that pays."""
-        modes = self._rayleigh_ritz(self._search(eps, low, high, count, fraction, searches))
+        rows = self._search(eps, low, high, count, fraction, searches)
+        modes, wrong = self._rayleigh_ritz(rows)
         st = eps.getST()
         if modes.within(low, high).defects(count) > (0, REFINE) and st.getType() == "sinvert":
-            modes = self._rayleigh_ritz(self._refined(st, modes))
+            modes, _ = self._rayleigh_ritz(self._refined(st, modes, wrong))
         return modes.within(low, high)
 
     @plain_errors()
@@ -215,7 +216,7 @@ class ModeSolver(Owner):
         vector.destroy()
 
     def _rayleigh_ritz(self, rows):
-        """Return the real modes in the span of complex vectors, a row each.
+        """Return the real modes in the span of complex vectors, a row each, and K f - lambda f.
 
         With rows X, orthonormal and spanning whole eigenspaces of a real matrix, the projector on
         their span is real: X^H X = Re(X)^T Re(X) + Im(X)^T Im(X). So the singular values of
@@ -223,7 +224,8 @@ class ModeSolver(Owner):
         without loss of accuracy, and no cluster of equal eigenvalues needs to be told from its
         neighbours.
         """
-        parts = np.concatenate([rows.real, rows.imag]) if np.any(rows.imag) else rows.real
+        parts = [rows.real, rows.imag] if np.any(rows.imag) else [rows.real]
+        parts = np.concatenate(parts)
         weights, rotation = np.linalg.eigh(parts @ parts.T)
         ones = weights > 0.1  # fewer than there are rows if these are not what they should be
         basis = (rotation[:, ones] / np.sqrt(weights[ones])).T @ parts
@@ -232,39 +234,34 @@ class ModeSolver(Owner):
         values, rotation = np.linalg.eigh(0.5 * (energy + energy.T))
         vectors = rotation.T @ basis
         wrong = rotation.T @ forces - values[:, None] * vectors
-        return Modes(values, vectors, np.linalg.norm(wrong, axis=1) / self.norm)
+        return Modes(values, vectors, np.linalg.norm(wrong, axis=1) / self.norm), wrong
 
     def _forces(self, vectors):
-        """Return K f of each row f."""
-        x, product = self.K.createVecs()
-        forces = np.empty_like(vectors)
-        for vector, force in zip(vectors, forces, strict=True):
-            x.setArray(vector)
-            self.K.mult(x, product)
-            force[:] = product.getArray(readonly=True).real
-        x.destroy()
-        product.destroy()
-        return forces
+        """Return K f of each row f, K as it is stored."""
+        columns = np.asfortranarray(vectors.T, dtype=complex)
+        f = PETSc.Mat().createDense(columns.shape, array=columns, comm=PETSc.COMM_SELF)
+        forces = self.K.matMult(f)
+        found = forces.getDenseArray(readonly=True).real.T.copy()
+        f.destroy()
+        forces.destroy()
+        return found
 
     @plain_errors()
-    def _refined(self, st, modes):
-        """Return f - (K - sigma)^-1 (K f - lambda f) for modes f whose residuals are worth it.
+    def _refined(self, st, modes, wrong):
+        """Return f - (K - sigma)^-1 (K f - lambda f) of modes f where that is worth it.
 
         An LDL^T without pivoting is that of a matrix nearby, whose modes the EPS finds. This step
         takes out what they contain of modes farther from sigma than lambda; Rayleigh-Ritz does the
         rest.
         """
-        poor = modes.residuals > REFINE
-        wrong = self._forces(modes.vectors[poor]) - modes.values[poor, None] * modes.vectors[poor]
         right, x = self.K.createVecs()
-        for row in wrong:
-            right.setArray(row)
+        refined = modes.vectors.copy()
+        for number in np.flatnonzero(modes.residuals > REFINE):
+            right.setArray(wrong[number])
             st.apply(right, x)
-            row[:] = x.getArray(readonly=True).real
+            refined[number] -= x.getArray(readonly=True).real
         right.destroy()
         x.destroy()
-        refined = modes.vectors.copy()
-        refined[poor] -= wrong
         return refined
 
 
