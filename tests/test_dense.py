@@ -16,7 +16,6 @@ from pgran.errors import InputError, PgranError
 from pgran.experiments.modes import dense, scene
 from pgran.experiments.modes.dense import whole_spectrum
 from pgran.experiments.modes.scene import certificate
-from pgran.medium.base import record_of
 from pgran.medium.crystals import random_geometric
 from pgran.run import machine
 from pgran.run.crew import Crew
