@@ -91,8 +91,10 @@ class ModeSolver(Owner):
         eps = self.make_eps(first=True)
         eps.setTolerances(TOLERANCE, RESTARTS)
         far = 2 * self.norm  # no eigenvalue is so far away
-        modes = self._modes(eps, value - far, value + far, wanted, searches=1)
-        eps.destroy()
+        try:
+            modes = self._modes(eps, value - far, value + far, wanted, searches=1)
+        finally:
+            eps.destroy()
         return modes if len(modes.values) >= wanted else None
 
     def solve(self, low, high, count, search=None):
@@ -289,6 +291,7 @@ class SymmetricFactors:
         """Factor the matrix."""
         matrix, _ = pc.getOperators()
         S = complex_matrix(matrix)
+        del pc, matrix  # which an error would hold until Python has ended, too late to destroy them
         S.eliminate_zeros()
         self.is_real = not np.any(S.data.imag)
         S = S.real.copy() if self.is_real else S
