@@ -237,7 +237,9 @@ def route(method, medium, wanted, damped):
             from pgran.experiments.modes import dense
 
             by_search = not dense.is_faster(medium, wanted.number(medium))
-    return {"auto": "eps" if by_search else "dense"}.get(method, method)
+    if method != "auto":
+        return method
+    return "eps" if by_search else "dense"
 
 
 class Slices(Task):
