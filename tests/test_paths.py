@@ -18,13 +18,13 @@ SMALL = "-lattice_shape 6,5 -detectors 3,2"
 SWEEP = f"{SMALL} -sweep_points 5"
 # Of what a run is, the modules that it may load, and their lines.
 PATHS = {
-    "-scene continuum -sweep_points 5": (25, 3000),
-    f"-scene response {SWEEP}": (45, 7000),
-    f"-scene pulse {SMALL}": (50, 7500),
-    f"-scene relaxation {SMALL} -relax_steps 40": (50, 7500),
-    "-scene modes -lattice_shape 6,5": (50, 7500),
-    f"-scene ensemble -ensemble_samples 2 {SWEEP}": (60, 9500),
-    "plot": (35, 5000),
+    "-scene continuum -sweep_points 5": (31, 4200),
+    f"-scene response {SWEEP}": (52, 9200),
+    f"-scene pulse {SMALL}": (53, 9200),
+    f"-scene relaxation {SMALL} -relax_steps 40": (53, 9200),
+    "-scene modes -lattice_shape 6,5": (50, 8650),
+    f"-scene ensemble -ensemble_samples 2 {SWEEP}": (56, 10100),
+    "plot": (46, 6800),
 }
 
 
