@@ -121,6 +121,24 @@ class Experiments(Mapping):
         return home
 
 
+def code_of(scene):
+    """Return what of its code decides an installed experiment's numbers, {package: checksum}."""
+    if scene in OURS:
+        return {}
+    import hashlib
+    from pathlib import Path
+
+    package = EXPERIMENTS[scene].package
+    folder = Path(import_module(package).__file__).parent
+    code = b"".join(path.read_bytes() for path in sorted(folder.rglob("*.py")))
+    return {package: f"code {hashlib.sha256(code).hexdigest()[:16]}"}
+
+
+def without(scene):
+    """Return in words that no package has the experiment that a result is of, if that is so."""
+    return "" if scene in EXPERIMENTS else "; no package that is installed has this experiment"
+
+
 def groups_of(scene):
     """Return the groups that results of a scene can have, those of all other scenes among them."""
     if scene not in RECORDS:

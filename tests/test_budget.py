@@ -6,8 +6,8 @@ import pytest
 
 HOUSE = Path(__file__).parents[1]
 BUDGETS = {  # lines of Python, docstrings and blank ones too
-    "pgran": 31210,
-    "pgran/*.py": 600,
+    "pgran": 31250,
+    "pgran/*.py": 620,
     "pgran/run": 2100,
     "pgran/command": 2330,
     "pgran/store": 1160,
@@ -27,7 +27,7 @@ BUDGETS = {  # lines of Python, docstrings and blank ones too
     "pgran/experiments/response": 1700,
     "pgran/experiments/sensitivity": 2240,
     "pgran/experiments/structure": 620,
-    "tests": 24340,
+    "tests": 24370,
 }
 
 

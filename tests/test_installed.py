@@ -71,6 +71,23 @@ def test_an_installed_experiment_is_as_one_of_pgran(install, call, world):
         assert pgran.figures.spread.__name__ == "pgran_spread.figures"
 
 
+def test_a_run_goes_on_with_the_same_code_only(install, start, shared_path, place):
+    """A task that failed at its end was wrong before, too: what it has finished is another's."""
+    wrong = WRITTEN["scene"].replace("power.sum() ** 2", "9 * power.sum() ** 2")
+    install(WRITTEN | {"scene": wrong.replace("work = int(", "work = nothing(")})
+    words = "run", "spread.opts", "-sweep_omega", ".3,.7", "-output_file", "a.h5"
+    assert "nothing" in start(*words, PYTHONPATH=str(shared_path)).stderr
+    place("pgran_spread/scene.py", WRITTEN["scene"])
+    done = start(*words, PYTHONPATH=str(shared_path))
+    assert (done.returncode, "run with code" in done.stderr) == (2, True), done.stderr
+    done = start(*words, "-output_overwrite", PYTHONPATH=str(shared_path))
+    assert done.returncode == 0, done.stderr
+    (shared_path / "spread-1.dist-info").rename(shared_path / "gone")
+    for command in ("plot", "export"):
+        done = start(command, "a.h5", *["a.csv"] * (command == "export"))
+        assert "no package that is installed has this experiment" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("modules", "point", "said"),
     [

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pgran
 from pgran import errors
+from pgran.catalogue import code_of
 from pgran.command.resolve import SCENES, opening, resolve, run_scene
 from pgran.errors import FileError, InputError, PgranError
 from pgran.run import launch, machine, streams
@@ -128,7 +129,7 @@ def _foresee(scene, options, world, started):
 
     signal.pthread_sigmask(signal.SIG_UNBLOCK, launch.HELD)  # there is nothing to keep
     output, overwrite = options.output_file, options.output_overwrite
-    identity = _run_identity(on_root(world, options.identity))
+    identity = _run_identity(on_root(world, options.identity), options.scene)
     for line in forecast(scene, options, world, started):
         print(line)
     if world.rank == 0:
@@ -149,7 +150,7 @@ def _compute(scene, options, words, world, started):
     on_root(world, lambda: check_output(output, overwrite))
     asked = on_root(world, options.identity)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
-    with Journal(world, output, _run_identity(asked), overwrite) as journal:
+    with Journal(world, output, _run_identity(asked, options.scene), overwrite) as journal:
         # again: another run may have written it just before the journal was locked
         on_root(world, lambda: check_output(output, overwrite))
 
@@ -213,7 +214,7 @@ def _write(scene, options, words, world, records, started):
     return failures
 
 
-def _run_identity(asked):
+def _run_identity(asked, scene):
     """Return what decides a run's numbers, {name: text}: what is asked, and who computes it."""
     versions = {
         "pgran": pgran.__version__,
@@ -221,7 +222,7 @@ def _run_identity(asked):
         "NumPy": _installed_version("numpy"),
         "SciPy": _installed_version("scipy"),  # not imported by all that run
     }
-    return versions | {f"-{name}": text for name, text in asked.items()}
+    return versions | code_of(scene) | {f"-{name}": text for name, text in asked.items()}
 
 
 def _run_attributes(options, words, world, failures, seconds):

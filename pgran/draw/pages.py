@@ -24,7 +24,8 @@ def make(result, si=None, width=None, **over):
         for module in dict.fromkeys(map(catalogue.figures, groups)):  # some draw several groups
             made |= dict(module.figures(result, **over))
         if not made:
-            raise FileError(f"nothing to draw in this result (scene {result.scene})")
+            why = f"(scene {result.scene}){catalogue.without(result.scene)}"
+            raise FileError(f"nothing to draw in this result {why}")
         return _finished(made, [result], si)
 
 

@@ -72,7 +72,11 @@ def row_of(kind, without=(), **lengths):
     row = []
     for item in dataclasses.fields(kind):
         if item.metadata.get("row") and item.name not in without:
-            shape = sum((lengths[axis] for axis in item.metadata["axes"][1:]), ())
+            axes = item.metadata["axes"][1:]
+            for axis in [axis for axis in axes if axis not in lengths]:
+                said = f"no length of its axis {axis}: row_of({kind.__name__}, {axis}=(n,))"
+                raise TypeError(f"{kind.__name__}.{item.name}: {said}")
+            shape = sum((lengths[axis] for axis in axes), ())
             row.append((item.name, item.metadata["dtype"], shape))
     return row
 

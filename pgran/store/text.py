@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from pgran.catalogue import without
 from pgran.errors import FileError
 from pgran.store.paths import open_regular
 
@@ -157,7 +158,7 @@ def tables(result):
             name = [group] * (group != scene) + [*axes] * (number > 0)
             named["-".join(name) if named else ""] = columns
     if not named:
-        raise FileError(f"no table in this result (scene {scene})")
+        raise FileError(f"no table in this result (scene {scene}){without(scene)}")
     return named
 
 

@@ -9,13 +9,17 @@ import dataclasses
 import logging
 import sys
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import scipy.linalg
-from law_samples import with_laws
 from mpmath import mp
-from network_samples import NetworkReference, as_network
 from scipy.sparse import csr_matrix
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # before this script's folder
+
+from law_samples import with_laws
+from network_samples import NetworkReference, as_network
 
 import pgran
 from pgran.experiments.modes import certain
