@@ -10,7 +10,7 @@ BUDGETS = {  # lines of Python, docstrings and blank ones too
     "pgran/*.py": 620,
     "pgran/run": 2100,
     "pgran/command": 2330,
-    "pgran/store": 1160,
+    "pgran/store": 1170,
     "pgran/medium": 4150,
     "pgran/driven": 2790,
     "pgran/balance": 1270,
