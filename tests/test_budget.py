@@ -6,9 +6,9 @@ import pytest
 
 HOUSE = Path(__file__).parents[1]
 BUDGETS = {  # lines of Python, docstrings and blank ones too
-    "pgran": 31250,
+    "pgran": 31260,
     "pgran/*.py": 620,
-    "pgran/run": 2100,
+    "pgran/run": 2110,
     "pgran/command": 2330,
     "pgran/store": 1170,
     "pgran/medium": 4150,
@@ -27,7 +27,7 @@ BUDGETS = {  # lines of Python, docstrings and blank ones too
     "pgran/experiments/response": 1700,
     "pgran/experiments/sensitivity": 2240,
     "pgran/experiments/structure": 620,
-    "tests": 24370,
+    "tests": 24390,
 }
 
 

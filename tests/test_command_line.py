@@ -381,20 +381,30 @@ AFTER, WITHIN = (
     "make(1994); pgran.sweep(make(), **asked)",
     "pgran.ensemble('response', 8, lattice=make, **asked)",
 )
+SHARED = """
+from pgran.driven.operators import Operators
+from pgran.medium.lattice import Lattice
+def combine(self, s):
+    PLANTED
+Lattice.is_large = True
+if rank == 1: Operators.combine = combine
+pgran.sweep(make(), method="points", **asked)
+"""
 
 
 @pytest.mark.parametrize(
     ("planted", "where", "launcher", "code", "said"),
     [
         ("1 / 0", AFTER, [], 1, "ZeroDivisionError ends this script"),
+        ("1 / 0", SHARED, [], 1, "ZeroDivisionError ends this script"),
         ("sys.exit(3)", AFTER, ["-m", "mpi4py"], 3, "ended with exit code 3"),
         ("sys.exit(3)", WITHIN, [], 3, r"ended by sys\.exit\(3\)"),
     ],
 )
 def test_what_ends_a_script_on_one_rank_ends_all(start, planted, where, launcher, code, said):
-    """Outside pgran, after a call of it, and in a function that is handed in."""
+    """Outside pgran, after a call, in a function that is handed in, and on a shared lattice."""
     words = ["timeout", "-k", "1", "20", sys.executable, *launcher, "-c"]
-    done = start(CALL.replace("PLANTED", planted) + where, ranks=2, program=words)
+    done = start((CALL + where).replace("PLANTED", planted), ranks=2, program=words)
     assert done.returncode == code, done.stderr
     lines = re.findall(rf"^.*{said}.*, and so all ranks end$", done.stderr, re.MULTILINE)
     assert len(lines) == 1, done.stderr

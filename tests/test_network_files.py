@@ -63,6 +63,7 @@ def test_five_lines_write_a_network(tmp_path):
         ({"stiffness": [1.0]}, {}, "stiffness: shape (1,) is not (2,)"),
         ({"mass": ["a", "b", "c"]}, {}, "/network/mass"),
         ({"held": 0}, {}, "held"),
+        ({}, {"damped": [1.0, 2.0]}, "network: damped"),
         ({"normal": [[1, 0], [1, 1]]}, {}, "length 1"),
         ({"stiffness": h5py.SoftLink("/network/mass")}, {}, "is a link"),
     ],
@@ -131,3 +132,14 @@ def test_damaged_networks(tmp_path):
         path.write_bytes(bad)
         with pytest.raises(FileError):
             read_network(path)
+
+
+def test_a_direction_is_of_vectors_and_distances_are_not_changed(tmp_path):
+    """Of a scalar network what the file says of vectors is left out; what is handed in is not."""
+    vectors = SPRINGS | {"position": [[0, 0], [0, 1], [2, 1]]}
+    path = five_lines(tmp_path / "a.h5", {"displacement": "vector", "direction": "y"}, **vectors)
+    with pytest.raises(ValueError, match="read-only"):
+        read_network(path).distance[0] = 9.0
+    assert read_network(path, displacement="scalar").displacement == "scalar"
+    with pytest.raises(InputError, match="direction"):
+        read_network(path, displacement="scalar", direction=[1, 0])

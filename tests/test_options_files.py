@@ -97,6 +97,10 @@ HARMFUL = [
     "normal_eps_error_relative ::ascii_info_detail", "steady_pc_mg_dump_binary",
     "steady_mat_mumps_ooc_tmpdir here", "steady_mat_mumps_icntl_22 1",
     "steady_sub_mat_mumps_icntl_1 8", "log_view :a.txt", "log a", "info a", "history",
+    "steady_pc_asm_print_subdomains a", "steady_pc_gamg_esteig_ksp_view_mat binary",
+    "normal_eps_ciss_ksp_view_mat binary", "normal_eps_ciss_mat_mumps_icntl_1 7",
+    "normal_eps_ciss_pc_python_type m.f", "steady_pc_gamg_esteig_pc_python_type m.f",
+    "normal_eps_power_snes_monitor binary", "steady_pc_factor_mat_solver_package matlab",
     "citations a.bib", "malloc_dump", "memory_view a", "viewer_socket_machine a", "options_left a",
     # what is no name, number or flag, or no key that pgran knows
     "steady_pc_type ../lib", "steady_ksp_rtol $HOME", "steady_ksp_max_it \u0663",

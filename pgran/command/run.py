@@ -18,7 +18,6 @@ from pgran.errors import FileError, InputError, PgranError
 from pgran.run import launch, machine, streams
 from pgran.run.agreement import agreeing, on_root
 from pgran.run.options import check_word, read_environment, read_file, read_words
-from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")
 
@@ -97,6 +96,8 @@ def start_mpi():
 
 def _start_log(options, words, world):
     """Let messages go to the log file of the options, too. Collective."""
+    from pgran.store.estimate import counted
+
     path = options.output_log
     if Path(path).absolute() == Path(options.output_file).absolute():
         raise InputError(f"-output_log {path}: is the -output_file")

@@ -64,7 +64,7 @@ def sample(result, si):
     if medium.group == "lattice":
         driven = ", one of which is driven" * bool(np.any(medium.built.wall_motion))
         facts.insert(1, f"balls of mass {number(medium.mass)} between walls{driven}")
-    if not any(fact.startswith("seed") for fact in facts):
+    if not len(seeds) and not any(fact.startswith("seed") for fact in facts):
         facts.append(f"SHA-256 of the bonds {medium.bonds_sha256[:12]}")
     unit = f"{medium.omega_mx:.4g}{si.say('Hz', medium.omega_mx)}"
     facts += [medium.built.law_in_words, f"omega_mx {unit}"]

@@ -43,7 +43,9 @@ def checked_values(network, arrays):
         values["normal"], distance = _normals(values.get("position"), values["bond"])
         if network.distance is None:
             values["distance"] = distance
-    check("normal", *(name for name in arrays if name not in (*values, "normal", "push")))
+    # what positions give is checked as what is handed in
+    others = [name for name in arrays if name not in (*values, "normal", "distance", "push")]
+    check("normal", "distance", *others)
     for name in OF_DAMPING:
         value = values.get(name)
         if value is not None and np.any(value < 0):
@@ -93,10 +95,10 @@ def _checked_array(name, value, dtype, wanted):
 
 def check_network(network):
     """Raise InputError where values of a network, whose arrays fit, are impossible."""
+    choice("network: damped", network.damped, ("all", "normal"))
     for impossible, why in _conditions(network):
         if impossible:
             raise InputError(f"network: {why}")
-    choice("network: damped", network.damped, ("all", "normal"))
     components = AXES[: network.axes] if network.axes > 1 else ""
     choice("-detectors_component", network.component, ("drive", *components))
 

@@ -170,16 +170,17 @@ def read_network(path, **overrides):
             network = _made(values)
     except InputError as error:
         raise FileError(f"{path}: {error}") from None
-    return _made(values | overrides) if overrides else network
+    return _made(values, **overrides) if overrides else network
 
 
-def _made(values):
-    """Return the network of some values; if it is scalar, without a direction, of vectors."""
+def _made(values, **overrides):
+    """Return the network of a file; if it is scalar, without the file's direction, of vectors."""
     from pgran.medium.network import Network
 
-    choice("network: displacement", values["displacement"], KINDS)
-    unused = ("direction",) if values["displacement"] == "scalar" else ()
-    return Network(**{name: value for name, value in values.items() if name not in unused})
+    kind = overrides.get("displacement", values["displacement"])
+    if choice("network: displacement", kind, KINDS) == "scalar":
+        values = {name: value for name, value in values.items() if name != "direction"}
+    return Network(**values | overrides)
 
 
 @called_right

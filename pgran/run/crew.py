@@ -170,7 +170,7 @@ class AgreeingCrew(Crew):
                     met.append(error)
             return np.zeros(0, task.row)
 
-        with agreeing(self.world):
-            super().share(task, tried, deliver)
+        super().share(task, tried, deliver)
+        with agreeing(self.world):  # after it: what ends it on one rank ends all, as nobody waits
             if met:
                 raise met[0]

@@ -22,12 +22,11 @@ def _one_of(names):
 
 
 # What a file may give, in letters of either case: numbers, a flag, or one of a few words that do no
-# harm; PETSc refuses others. Whole numbers have three digits, where memory and time do not depend
-# on them six; longer ones need an exponent, which PETSc takes for no integer: no file asks for
-# absurd work.
+# harm; PETSc refuses others. Long numbers need an exponent, which PETSc takes for no integer: no
+# file asks for absurd work.
 NUMBER = r"[+-]?(\d{1,6}(\.\d*)?|\.\d+)(e[+-]?\d{1,3})?"
-SMALL = rf"(?![+-]?\d{{4,}}(?![\d.e])){NUMBER}"
-VALUE, LARGE = (rf"|{n}(,{n})*|\d{{0,2}}[a-z]\w*" for n in (SMALL, NUMBER))
+VALUE = rf"|{NUMBER}(,{NUMBER})*|\d{{0,2}}[a-z]\w*"
+COUNT = r"\d{1,3}"  # of what takes memory or time each
 ALONE = ""  # prints to the terminal; a value would name a file or a window
 # Types and packages: those for complex numbers and for a matrix without grids, of which multigrid
 # (mg) crashes.
@@ -43,41 +42,58 @@ TYPE = _one_of(
 )
 TYPE = f"{TYPE}(,{TYPE})*"
 
-# The keys of solvers that a file may set, by the values that they take; those of one method by its
-# name, where none prints, writes or loads anything. Of linear systems, with no unit of Fortran that
-# MUMPS prints to (icntl 1 to 3, files fort.N) and no factors on disk (22),
+# The keys of solvers that a file may set, by the values that they take: of linear systems, with no
+# unit of Fortran that MUMPS prints to (icntl 1 to 3, files fort.N) and no factors on disk (22),
 LINEAR = {
     TYPE: "ksp_type pc_type pc_composite_pcs pc_factor_mat_solver_type",
-    LARGE: "ksp_(rtol|atol|divtol|max_it|min_it) pc_gamg_(coarse|process)_eq_limit "
-    r"mat_mumps_cntl_[1-57] mat_mumps_icntl_([46-8]|1[0-5]|2[0347-9]|3[135-8]|4[89]|58)",
-    VALUE: r"ksp_(bcgsl|cg|chebyshev|fcg|gcr|lgmres|pipefcg|pipegcr|richardson)_\w+ "
-    r"ksp_gmres_(?!krylov_monitor)\w+ ksp_(check_norm_iteration|diagonal_scale(_fix)?|knoll) "
-    "ksp_(initial_guess_nonzero|lag_norm|norm_type|pc_side) pc_composite_type pc_svd_zero_sing "
-    r"pc_(asm|bjacobi|eisenstat|gamg|gasm|jacobi|redundant|sor|telescope)_\w+ "
-    "pc_mg_(cycle_type|distinct_smoothup|levels|multiplicative_cycles|type) "
-    r"pc_factor_(?!mat_solver_type)\w+ mat_superlu_dist_\w+",
-    ALONE: "ksp_(view|converged_(reason|rate)) pc_view "
+    COUNT: "ksp_((gmres|gcr)_restart|lgmres_augment|bcgsl_ell|(fcg|pipefcg|pipegcr)_mmax) "
+    "ksp_chebyshev_esteig_steps pc_(factor_levels|(asm|gasm)_overlap|gasm_total_subdomains) "
+    "pc_((asm|bjacobi)_(local_)?blocks|sor_l?its|mg_levels|mg_multiplicative_cycles) "
+    "pc_(redundant_number|telescope_reduction_factor) mat_superlu_dist_[rc] "
+    "pc_gamg_(agg_nsmooths|aggressive_coarsening|square_graph)",
+    VALUE: "ksp_(rtol|atol|divtol|max_it|min_it|check_norm_iteration|richardson_scale|knoll) "
+    "ksp_gmres_(haptol|breakdown_tolerance|(modified|classical)gramschmidt|preallocate) "
+    "ksp_chebyshev_(eigenvalues|esteig|kind) ksp_(initial_guess_nonzero|lag_norm|cg_type) "
+    "ksp_bcgsl_(xres|cxpoly|mrpoly|pinv) ksp_(diagonal_scale(_fix)?|lgmres_constant|norm_type) "
+    "ksp_(richardson_self_scale|cg_single_reduction|pc_side|fcg_truncation_type) "
+    "ksp_gmres_cgs_refinement_type pc_factor_(fill|zeropivot|shift_amount|column_pivot) "
+    "pc_factor_(nonzeros_along_diagonal|diagonal_fill|in_place|pivot_in_blocks) "
+    "pc_factor_(reuse_fill|reuse_ordering|mat_ordering_type|shift_type) pc_eisenstat_omega "
+    "pc_sor_(omega|diagonal_shift|(local_)?(symmetric|forward|backward)) pc_svd_zero_sing "
+    "pc_gamg_(threshold|threshold_scale|coarse_eq_limit|process_eq_limit|repartition) "
+    "pc_gamg_(reuse_interpolation|use_sa_esteig) pc_jacobi_(abs|fixdiagonal) pc_mg_cycle_type "
+    "pc_mg_distinct_smoothup pc_(asm|asm_local|gasm|composite|jacobi|mg|gamg)_type "
+    "mat_mumps_icntl_([46-8]|1[0-5]|2[0347-9]|3[135-8]|4[89]|58) mat_mumps_cntl_[1-57] "
+    "mat_superlu_dist_(equil|parsymbfact|replacetinypivot|iterrefine|rowperm|colperm|fact)",
+    ALONE: "ksp_(view|converged_(reason|rate)) pc_view mat_superlu_dist_(statprint|printstat) "
     "ksp_monitor(_true_residual|_short|_singular_value|_max)?",
 }
 # of modes, with what these solvers stand on: bases (bv), dense problems (ds), regions (rg),
 MODES = {
     TYPE: "(eps|pep|st)_type",
-    LARGE: "(eps|pep)_(tol|max_it|nev|ncv|mpd|target|interval) eps_krylovschur_(nev|ncv|mpd)",
-    VALUE: r"eps_([gj]d|arnoldi|ciss|krylovschur|lanczos|lobpcg|power|rqcg)_\w+ "
-    r"pep_(toar|stoar|qarnoldi)_\w+ (eps|pep)_(conv_(abs|rel|norm)|true_residual) "
+    COUNT: "eps_(balance_its|krylovschur_partitions|rqcg_reset|lobpcg_blocksize) st_filter_degree "
+    "eps_[gj]d_(blocksize|minv|plusk|initial_size) ds_(method|block_size) "
+    "eps_ciss_((refine_)?(blocksize|inner)|integration_points|moments|maxblocksize|partitions)",
+    VALUE: "(eps|pep)_(tol|max_it|nev|ncv|mpd|target|interval|conv_(abs|rel|norm)|true_residual) "
     "(eps|pep)_(largest|smallest|target)_(magnitude|real|imaginary) pep_(scale|extract|refine) "
-    r"eps_(all|balance\w*|harmonic|hermitian|purify|refined|ritz) st_filter_\w+ "
-    "st_(shift|transform|matmode|matstructure|cayley_antishift) ds_(method|block_size|parallel) "
-    r"bv_(definite_tol|type|matmult|orthog_\w+) rg_(type|scale|complement) "
-    r"rg_(interval_endpoints|ellipse_\w+)",
+    "eps_(balance(_cutoff)?|lobpcg_(restart|locking)|jd_fix|all|hermitian|purify|ritz|harmonic) "
+    "eps_krylovschur_(restart|nev|ncv|mpd|locking|detect_zeros) eps_(arnoldi_delayed|refined) "
+    "eps_ciss_(delta|spurious_threshold|realmats|usest|extraction|quadrule) eps_lanczos_reorthog "
+    "eps_([gj]d_krylov_start|gd_double_expansion|jd_const_correction_tol|power_shift_type) "
+    "pep_(toar|stoar|qarnoldi)_(restart|locking) st_filter_(interval|range|type|damping) "
+    "st_(shift|transform|matmode|matstructure|cayley_antishift) ds_parallel "
+    "bv_(definite_tol|type|matmult|orthog_(eta|type|block|refine)) rg_(type|scale|complement) "
+    "rg_(interval_endpoints|ellipse_(center|radius|vscale))",
     ALONE: "(eps|pep)_(view(_values)?|converged_reason|monitor(_all|_conv)?) "
     "(eps|pep)_error_(absolute|backward|relative)",
 }
 # and of pulses.
 STEPS = {
     TYPE: "ts_(type|adapt_type) snes_(type|linesearch_type)",
-    LARGE: "ts_(dt|max_steps|max_reject) snes_(rtol|atol|stol|max_it)",
-    VALUE: r"ts_rk_type ts_alpha_\w+ ts_adapt_(?!monitor)\w+",
+    VALUE: "ts_(rk_type|adapt_wnormtype|dt|max_steps|max_reject) "
+    "ts_alpha_(radius|alpha_m|alpha_f|gamma|beta) snes_(rtol|atol|stol|max_it) "
+    "ts_adapt_(safety|reject_safety|clip|dt_min|dt_max|scale_solve_failed) "
+    "ts_adapt_time_step_increase_delay",
     ALONE: "ts_(view|monitor|adapt_monitor) snes_(view|monitor|converged_reason)",
 }
 # Solvers inside of preconditioners.
