@@ -24,7 +24,7 @@ PATHS = {
     f"-scene relaxation {SMALL} -relax_steps 40": (53, 9200),
     "-scene modes -lattice_shape 6,5": (50, 8650),
     f"-scene ensemble -ensemble_samples 2 {SWEEP}": (56, 10100),
-    "plot": (46, 6800),
+    "plot": (46, 6850),
 }
 
 
