@@ -27,7 +27,7 @@ BUDGETS = {  # lines of Python, docstrings and blank ones too
     "pgran/experiments/response": 1700,
     "pgran/experiments/sensitivity": 2240,
     "pgran/experiments/structure": 620,
-    "tests": 24390,
+    "tests": 24400,
 }
 
 

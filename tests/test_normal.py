@@ -287,3 +287,19 @@ def test_options_of_an_eps_have_their_meaning(solver_options, monkeypatch):
         solver_options(keys)
         check(network, find_modes(network, shapes=True, method="eps", **wanted), **wanted)
         assert bool(near) == (not keys)
+
+
+def test_factors_that_fail_mark_modes_and_keys_of_factors_take_petscs(monkeypatch, caplog):
+    """Of lattices of three axes, whose factors are SuperLU's unless a key asks for PETSc's."""
+
+    def broken(*given):
+        raise ZeroDivisionError("no pivot")
+
+    lattice = Lattice.random((4, 4, 4), seed=1)
+    monkeypatch.setattr(normal, "RealFactors", broken)
+    found = find_modes(lattice, interval=(0.3, 0.5))
+    assert (found.count_found, found.count_certified) == (0, False)
+    assert "no pivot" in caplog.text
+    keys = {"normal_st_pc_factor_shift_type": "nonzero"}
+    found = find_modes(lattice, interval=(0.3, 0.5), solver=keys)
+    assert found.count_found == found.count_expected > 0

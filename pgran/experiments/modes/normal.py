@@ -179,8 +179,8 @@ class ModeSolver(Owner):
                             inside.append(vector.getArray().copy())
                     if len(inside) >= count or len(seen) == before:
                         break
-        except PETSc.Error as error:
-            self._failure = str(error).splitlines()[-1]
+        except (PETSc.Error, ZeroDivisionError, MemoryError) as error:  # the latter by SuperLU
+            self._failure = (str(error).splitlines() or [type(error).__name__])[-1]
         finally:
             for vector in seen:
                 vector.destroy()
@@ -272,7 +272,9 @@ def invert(st, medium, by_inertia=False):
     st.setType("sinvert")
     st.getKSP().setType("preonly")
     pc = st.getKSP().getPC()
-    if fills(medium) and not by_inertia:
+    asked = PETSc.Options(pc.getOptionsPrefix()).getAll()
+    asked = any(key.startswith("pc_factor_") for key in asked)  # which SuperLU's factors know not
+    if fills(medium) and not by_inertia and not asked:
         pc.setType("python")
         pc.setPythonContext(SymmetricFactors())
         return
