@@ -105,7 +105,7 @@ def test_a_run_goes_on_with_the_libraries_that_it_began_with(stopped, monkeypatc
     identity = running._run_identity
     for name, version in LIBRARIES.items():
         changed = {name: "0.1"}
-        monkeypatch.setattr(running, "_run_identity", lambda asked, c=changed: identity(asked) | c)
+        monkeypatch.setattr(running, "_run_identity", lambda *of, c=changed: identity(*of) | c)
         done = stopped("bonds", 1)
         assert done.returncode == 2
         said = f"{name}: {JOURNAL} holds an unfinished run with {version}, and now it is 0.1; "
