@@ -141,12 +141,11 @@ def say(capsys, words):
     return capsys.readouterr().out
 
 
-def test_a_packing_of_these_balls(call, place, capsys):
+def test_a_packing_of_these_balls(call, place):
     """What is printed packs balls under the mean force, and runs: they oscillate as glass does."""
     given = "units --diameter 5e-3 --material glass --restitution .9"
     given, pressure = f"{given} --load 8", f"{given} --pressure {0.64 * 6 * 2 / math.pi / 25e-6!r}"
-    main(pressure.split())
-    by_pressure = re.findall(r"--pressure (\S+)", capsys.readouterr().out)
+    by_pressure = re.findall(r"--pressure (\S+)", call(*pressure.split()).stdout)
     out = call(*given.split()).stdout
     by_load = re.findall(r"--pressure (\S+)", out)
     assert [float(x) for x in by_load] == pytest.approx([float(x) for x in by_pressure], rel=1e-9)
