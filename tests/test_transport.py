@@ -12,7 +12,7 @@ from synthetic import complex_normal, fair, gaussian_fields
 import pgran
 from pgran.errors import InputError
 from pgran.experiments.ensemble import transport
-from pgran.experiments.ensemble.transport import Profiles, certain
+from pgran.experiments.ensemble.profiles import Profiles, certain
 from pgran.experiments.modes import levels
 from pgran.store.estimate import Estimate, mean_of
 

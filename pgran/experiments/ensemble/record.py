@@ -246,7 +246,7 @@ class Transport(Record):
     waves stand: where the group delay does not grow with depth for certain, and so below the
     `first_mode`, the lowest of the first sample. The delay is weighted by intensity; `band_delay`
     is its mean over the frequencies between one `edge` and the next. See
-    `pgran.experiments.ensemble.transport`.
+    `pgran.experiments.ensemble.profiles`.
     """
 
     group = "transport"
