@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from result_samples import no_room_beyond
 from samples import random_lattice
+from scipy.linalg import eigh, solve
+from scipy.sparse import csr_matrix
+from test_light_balls import light_chain
 
 import pgran
 from pgran import __main__ as program
@@ -86,6 +89,41 @@ def test_exported_modes_obey_newtons_law(tmp_path):
         assert not u[balls["held"] > 0].any()
         assert unbalanced(balls, lines, u, omega, pull) == pytest.approx(0, abs=1e-12)
         assert np.sum(balls["mass"][:, None] * u**2) == pytest.approx(net.mass)
+
+
+MEDIA = {  # of the component that is read; with drag, power laws, loss, a push, light balls
+    "u": lambda: pgran.with_source(random_lattice((4, 3), damping=0.1), balls=[1, 1]),
+    "u3": lambda: pgran.Lattice.random((3, 2, 2), free=("y+",), damping_power=0.5, drag=0.1),
+    "u light": lambda: light_chain(1e-14, 4, 2e-16),
+    "x": lambda: packing(force=np.full(48, 0.02), damping_power=0.5, damped="normal"),
+    "y": lambda: packing("rotations", component="y", drag=0.02, loss=0.1),
+}
+
+
+@pytest.mark.parametrize("name", MEDIA)
+def test_matrices_have_the_modes_and_the_steady_states(world, tmp_path, name):
+    """In their file: K u = omega^2 M u, u^T M u = m, and S u = f."""
+    net = MEDIA[name]()
+    with np.load(*export(net, tmp_path / "a.npz")) as f:
+        unknowns, force = f["unknowns"], f["f_K"] + 0.7j * f["f_C"]
+        entries = [(f[X], (f[f"{X}_row"], f[f"{X}_column"])) for X in "KCM"]
+    K, C, M = (csr_matrix(each, 2 * unknowns.shape).toarray() for each in entries)
+    assert all(np.array_equal(X, X.T) for X in (K, C, M))
+    modes = pgran.find_modes(net, shapes=True)
+    squares = eigh(K.real, M, eigvals_only=True)
+    assert modes.omega * abs(modes.omega) == pytest.approx(squares, rel=1e-9, abs=1e-12)
+    u = modes.displacements(net)
+    u = (u if net.is_grid else u[:, net.free]).reshape(len(u), -1).T
+    for X, values in ((M, np.ones(len(u))), (K.real, squares)):
+        assert u.T @ X @ u == pytest.approx(net.mass * np.diag(values), abs=1e-9)
+    ball, exact = unknowns["ball"][len(u) // 2], solve(K + 0.7j * C - 0.49 * M, force)
+    site = np.unravel_index(ball, net.shape) if net.is_grid else [ball]
+    found = pgran.sweep(net, [0.7], site, fields=True, error_tolerance=1e-10, method="points")
+    assert found.field.ravel() == pytest.approx(exact, rel=1e-8)
+    read = (unknowns["ball"] == ball) & (unknowns["component"] == name[0])
+    assert exact[read] == pytest.approx(found.displacement[0], rel=1e-8)
+    with pytest.raises(PgranError, match="modes of this medium, and shapes=True"):
+        pgran.find_modes(net).displacements(net)
 
 
 @pytest.mark.parametrize("shape", [(5,), (4, 3), (3, 2, 2)])

@@ -1,4 +1,4 @@
-"""`pgran export`: a result in space (.vtu), as tables (.csv), or its packing for LAMMPS (.lmp)."""
+"""`pgran export`: a result in space, as tables, matrices (.npz), or its packing for LAMMPS."""
 
 import csv
 import functools
@@ -7,6 +7,8 @@ import logging
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 import pgran
 from pgran.arguments import called_right, shown
@@ -42,6 +44,8 @@ def export(
     - `.csv`: a row for each frequency, time or mode, with all that the scene's record has there.
       Other records, and arrays along other axes, go to files beside it:
       `a-spectrum.csv`, `a-memory.csv` of a relaxation, `a-omega-ball.csv` of the heat at each ball.
+    - `.npz`, what `pgran.matrices` returns, its matrices by entries, rows and columns: after `K =
+      np.zeros((n, n))` so `K[f["K_row"], f["K_column"]] = f["K"]`, with `f = np.load("a.npz")`.
     - `.lmp`, a data file of LAMMPS (atom_style sphere): the packing of a result, or a network by
       itself, that knows its contact law. A script beside it, `a.in`, reads it and writes the dumps
       that `pgran import` takes. Forces are those that positions and radii hold, to all digits.
@@ -79,6 +83,7 @@ def export(
     except TypeError:
         raise InputError(f"export: {shown(output)} is no path of a file") from None
     writers = {".vtu": _write_mesh, ".csv": _write_tables, ".lmp": _write_packing}
+    writers |= {".npz": _write_matrices}
     if output.suffix.lower() not in writers:
         raise FileError(f"{output}: an export's name ends in one of {', '.join(writers)}")
     return writers[output.suffix.lower()](result_of(result), output)
@@ -118,7 +123,7 @@ def run(words):
     target = (
         "file to write; NAME.vtu: balls, contacts and displacements, for ParaView and others; "
         "NAME.csv: a row for each frequency, time or mode, and other arrays in files beside it; "
-        "NAME.lmp: a packing, for LAMMPS, and the script NAME.in beside it"
+        "NAME.lmp: a packing, for LAMMPS, with NAME.in beside it; NAME.npz: the medium's matrices"
     )
     parser = Parser("export", run.__doc__, *examples)
     parser.add_argument("result", metavar="RESULT", help="HDF5 file of a result or a network")
@@ -150,6 +155,18 @@ def _write_tables(result, output):
             writer.writerows(zip(*(column.tolist() for column in real.values()), strict=True))
             text.detach()  # which leaves the stream open
     return paths
+
+
+def _write_matrices(result, output):
+    """Write K, C and M by entries, rows and columns, what the unknowns are, and the drive."""
+    found = pgran.matrices(result)
+    arrays = vars(found) | {"unknowns": found.unknowns}
+    for name, matrix in zip("KCM", found, strict=False):
+        entries = matrix.tocoo()
+        arrays |= {name: entries.data, f"{name}_row": entries.row, f"{name}_column": entries.col}
+    with whole(output) as stream:
+        np.savez_compressed(stream, **arrays)
+    return [output]
 
 
 def _write_mesh(result, output):

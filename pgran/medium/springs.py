@@ -100,20 +100,26 @@ def stiffness_matrix(medium):
     return _symmetric(medium.springs.B, medium.springs.constants).tocsr()
 
 
-def quadratic(medium):
+def quadratic(medium, scale=1.0):
     """Return K, C and m of S(s) = K + s C + s^2 m, sparse, all damping in C.
 
-    K is complex where springs lose energy by themselves, K (1 + i eta).
+    K is complex where springs lose energy, K (1 + i eta). Unknowns are the medium's over a scale.
     """
     from scipy.sparse import diags
 
-    springs, K = medium.springs, stiffness_matrix(medium)
-    C = _symmetric(springs.B, medium.damping * springs.damped)
+    B, m = medium.springs.B.multiply(scale), medium.mass * scale**2
+    K, C = (_symmetric(B, k) for k in (medium.moduli, medium.damping * medium.springs.damped))
     if medium.drags is not None:
-        C = C + diags(medium.mass * medium.drags)
-    if medium.losses is not None:
-        K = K + 1j * _symmetric(springs.B, medium.losses)
-    return K.tocsr(), C.tocsr(), medium.mass
+        C = C + diags(m * medium.drags)
+    return K.tocsr(), C.tocsr(), m
+
+
+def drive_of(medium):
+    """Return both parts of the drive f(s) = f + s f', over the unknowns."""
+    springs = medium.springs
+    parts = medium.moduli, medium.damping * springs.damped
+    rest, dashpots = (-springs.B.T @ (part * springs.drive) for part in parts)
+    return rest + (0.0 if medium.pushed is None else np.ravel(medium.pushed)), dashpots
 
 
 class Elastic(Damped):

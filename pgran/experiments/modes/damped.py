@@ -21,7 +21,7 @@ from pgran.errors import InputError, PgranError
 from pgran.experiments.modes import certain
 from pgran.experiments.modes.record import DampedModes
 from pgran.experiments.modes.shapes import least_frequency, participation
-from pgran.medium.springs import quadratic
+from pgran.medium.springs import drive_of, quadratic
 from pgran.run.experiment import Caution
 from pgran.run.machine import check_memory
 from pgran.run.task import Task
@@ -247,14 +247,6 @@ def normalised(C, m, s, X):
             squares, V = np.linalg.eig(G)
             X[:, equal] = x @ (V / np.sqrt(squares)) @ np.linalg.inv(V)
     return X, good
-
-
-def drive_of(medium):
-    """Return both parts of the drive f(s) = f + s f', over the unknowns."""
-    springs = medium.springs
-    parts = medium.moduli, medium.damping * springs.damped
-    rest, dashpots = (-springs.B.T @ (part * springs.drive) for part in parts)
-    return rest + (0.0 if medium.pushed is None else np.ravel(medium.pushed)), dashpots
 
 
 def summary(result):

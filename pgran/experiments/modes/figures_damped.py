@@ -5,9 +5,9 @@ from functools import partial
 import numpy as np
 
 from pgran.draw import balls, captions, marks, scales, style
-from pgran.experiments.modes.damped import drive_of
 from pgran.experiments.modes.figures import ASIDE, pick
 from pgran.experiments.modes.shapes import least_frequency
+from pgran.medium.springs import drive_of
 from pgran.store.estimate import counted
 
 WIDTH = scales.Quantity("width", r"$\Gamma/\omega_{mx}$", "1/s", 1)

@@ -5,8 +5,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from pgran.errors import PgranError
+from pgran.errors import InputError, PgranError
 from pgran.experiments.modes.shapes import RESIDUAL, least_frequency
+from pgran.medium.base import medium as medium_of
 from pgran.store.record import DETECTOR, Frequencies, Record, array, attribute
 
 
@@ -90,6 +91,20 @@ class Counted:
     """A record of modes, or on modes, that says how many there are: `count_expected`."""
 
     each_mode = "omega"  # the array that has an entry for each
+
+    def displacements(self, medium):
+        """Return how balls of a medium move, not mass-weighted: u of each mode's `vector`.
+
+        Of a lattice (nm, nx, ny, ...); of a network (nm, N, components) of all balls, 0 of held
+        ones. Of normal modes u^T M u = m, the median mass; of damped ones u^T (2 s M + C) u = 1.
+        """
+        from pgran.medium.space import everywhere
+
+        medium, vector = medium_of(medium), getattr(self, "vector", None)
+        if np.shape(vector)[1:] != medium.shape:
+            raise InputError("displacements: needs modes of this medium, and shapes=True")
+        moved = medium.displacements(vector)
+        return moved if medium.is_grid else everywhere(medium, moved)
 
     @property
     def count_found(self):
