@@ -36,7 +36,7 @@ def heated(lattice=LATTICE, detectors=((1, 1),), omegas=OMEGAS, **wanted):
 def strip():
     """A strip of discs, periodic across, with stiffness at random."""
     return crystal(
-        "triangular", (4, 3), lambda rng, count: rng.uniform(0.5, 1, count),
+        "triangular", (4, 3), lambda u: 0.5 + u / 2,
         periodic=(False, True), damping=0.05,
     )  # fmt: skip
 

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 from packing_samples import pushes
 
-from pgran.balance.motion import near_pairs
 from pgran.balance.pack import packed_network
+from pgran.medium.packing import near_pairs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +60,7 @@ def packing_faults(case, seen):
     if packed.rest.saddle:
         yield f"SADDLE {what}"
     box = np.where(network.box > 0, network.box, np.inf)
-    pairs, _ = near_pairs(network.position, network.radius, box, -1e-12)
+    pairs, *_ = near_pairs(network.position, network.radius, box, -1e-12)
     touching = np.any(network.held[pairs] == 0, axis=1)
     if len(pairs[touching]) > network.bonds:
         yield f"OVERLAP {what}: {len(pairs[touching])} pairs overlap, {network.bonds} contacts"

@@ -6,19 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from packing_samples import cells, pushes
+from packing_samples import cells, pairs_in, pushes
 from scipy.linalg import null_space
 from scipy.sparse import identity
 
 import pgran
 from pgran.balance import equilibrium
 from pgran.balance.equilibrium import Factors, NotBalancedError, at_rest, factored, newton
-from pgran.balance.motion import Balls, ContactLaw, Motion, listed, near_pairs
+from pgran.balance.motion import Balls, Motion, listed
 from pgran.balance.networks import balls_of, contact_changes, grown
 from pgran.balance.pack import packed_network
 from pgran.errors import InputError
 from pgran.medium.graph import loose_balls, subnetwork
 from pgran.medium.network_file import read_network
+from pgran.medium.packing import ContactLaw, near_pairs
 
 PACKINGS = Path(__file__).parents[1] / "options" / "packings"
 INFINITE = np.full(2, np.inf)
@@ -77,14 +78,12 @@ def test_what_finds_no_rest():
 def test_pairs_are_those_of_all_images():
     rng = np.random.default_rng(3)
     box = np.array([6.0, np.inf, 7.0])
-    position, radius = rng.uniform(-9, 9, (60, 3)), rng.uniform(0.3, 0.7, 60)
-    pairs, away = near_pairs(position, radius, box, 0.2)
-    images = np.array([[6 * a, 0, 7 * b] for a in range(-4, 5) for b in range(-4, 5)])
-    between = position[None] - position[:, None]
-    nearest = np.linalg.norm(between[:, :, None] + images, axis=3).min(axis=2)
-    near = np.triu(nearest < radius[:, None] + radius + 0.2, 1)
-    assert {*map(tuple, np.sort(pairs, axis=1))} == {*map(tuple, np.argwhere(near))}
-    assert np.all(np.linalg.norm(away, axis=1) < radius[pairs].sum(axis=1) + 0.2)
+    inside, radius = rng.uniform(0, 6, (60, 3)), rng.uniform(0.3, 0.7, 60)
+    position = inside + rng.integers(-2, 3, (60, 3)) * [6.0, 0.0, 7.0]
+    pairs, away, _ = near_pairs(position, radius, box, 0.2)
+    expected = pairs_in(inside, radius, [6.0, 0.0, 7.0], 0.2)
+    assert {*map(tuple, pairs)} == {*map(tuple, expected[:, :2])}
+    assert np.allclose(np.sort(np.linalg.norm(away, axis=1)), np.sort(expected[:, -1]))
     with pytest.raises(InputError, match="more balls"):
         near_pairs(position, radius, np.full(3, 3.0), 0.2)
 

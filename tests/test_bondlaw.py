@@ -83,8 +83,9 @@ def test_bond_b_of_a_random_lattice_has_the_bth_number_on_all_ranks(name, world)
     assert len(set(world.allgather(lattice.bonds_sha256))) == 1
     assert (lattice.mass, lattice.damping) == (2.0, 0.1)
     assert lattice.kmax == (lattice.constants.max() if name == "hertz" else 0.25)
-    again = Lattice.random(tuple(shape), np.int64(7), law)
-    assert again.bonds_sha256 == lattice.bonds_sha256
+    for same in (law, lambda u: law(u)):  # any function that draws the same
+        again = Lattice.random(tuple(shape), np.int64(7), same)
+        assert again.bonds_sha256 == lattice.bonds_sha256
 
 
 def test_a_random_lattice_is_that_of_the_options(world):
@@ -105,6 +106,7 @@ def test_a_random_lattice_is_that_of_the_options(world):
         *(({"law": "bimodal", "fraction": bad}, "bonds_fraction") for bad in (1.5, -0.1, math.nan)),
         ({"law": "hertz", "force": math.inf}, "bonds_force"),
         ({"law": "hertz", "hertz": 0.0}, "bonds_hertz"),
+        ({"law": np.negative}, "law: .*not neg"), ({"law": np.sqrt, "gravity": 1.0}, "_gravity"),
     ],
 )  # fmt: skip
 def test_impossible_random_lattices(choices, key):

@@ -65,7 +65,7 @@ def test_a_network_and_widths_to_first_order():
     rng = np.random.default_rng(4)
     network = crystals.random_geometric(
         30, 2, 6.0, masses=10 ** rng.uniform(-1, 1, 30), direction=[3.0, 4.0], damping=2e-4,
-        stiffness=lambda rng, count: rng.uniform(0.5, 1, count), seed=5
+        stiffness=lambda u: 0.5 + u / 2, seed=5
     )  # fmt: skip
     modes = pgran.find_modes(network, damped=True, shapes=True)
     exact = NetworkReference(network)

@@ -136,7 +136,7 @@ def test_what_drives_is_marked_where_it_does():
 
 
 def test_without_radii_and_forces_dots_and_stiffness():
-    net = crystal("square", (4, 3), lambda rng, count: rng.uniform(0.5, 1, count))
+    net = crystal("square", (4, 3), lambda u: 0.5 + u / 2)
     ax = draw(network.contacts, record_of(net))
     assert f"stiffness up to {net.stiffness.max():.3g}" in labels(ax)
     widths = np.array(of_kind(ax, LineCollection)[0].get_linewidths())

@@ -168,7 +168,7 @@ def test_dilution_removes_contacts_and_what_floats():
     [
         (lambda: makers.square((3,)), "2 positive numbers"),
         (lambda: makers.square((3, 1), periodic=True), "touches itself"),
-        (lambda: makers.random_geometric(20, 2, 18.0, periodic=True), "radius"),
+        (lambda: makers.random_geometric(20, 2, 18.0, periodic=True), "images"),
         (lambda: makers.random_geometric(20, 4), "dimensions"),
         (lambda: makers.diluted(makers.square((3, 3)), 2), "between 0 and 1"),
         (lambda: makers.square((2, 3)), "every ball is held"),

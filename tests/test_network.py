@@ -196,7 +196,7 @@ def test_modes_of_unstable_networks_have_negative_frequencies(world, kmax):
 def test_errors_along_a_diagonal_do_not_cancel():
     """Where x and y components are alike, a reading along (1, -1) cancels, and errors need not."""
     sample = makers.square(
-        (20, 1), lambda rng, count: rng.uniform(0.5, 1, count), tangential=np.zeros(19),
+        (20, 1), lambda u: 0.5 + u / 2, tangential=np.zeros(19),
         direction=(1, -1), damping=0.01
     )  # fmt: skip
     network = Network(

@@ -131,6 +131,22 @@ def test_bad_packings_are_refused():
             assert "\n" not in str(caught.value)
 
 
+def test_networks_of_balls(caplog):
+    """Of its own places and radii a packing is itself; what cannot be is refused."""
+    packing = pgran.pack(60, law="hertz", pressure=1e-3, seed=2)
+    given = {name: getattr(packing, name) for name in ("position", "radius", "box", "masses")}
+    found = pgran.matrices(pgran.Network.of_balls(**given, law="hertz", modulus=3.0)).K
+    assert abs(found - 3 * pgran.matrices(packing).K).max() <= 1e-9 * abs(found).max()
+    row = {"position": [[0, 0], [0.9, 0], [1.8, 0]], "radius": 0.5, "held": [1, 0, 1]}
+    assert (pgran.Network.of_balls(**row).bonds, len(caplog.messages)) == (2, 1)  # a rattler
+    for message, wrong in (
+        ("no two balls overlap", {"radius": 0.45}), ("a positive stiffness", {"modulus": -1.0}),
+        ("must be positive", {"radius": [0.5, 0, 1]}), ("same place", {"position": [[1.0, 2]] * 3}),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            pgran.Network.of_balls(**row | wrong)
+
+
 def test_the_command_makes_an_ordered_counterpart(call, shared_path):
     words = ["pack", "--balls", "60", "--pressure", "1e-2", "--walls", "x", "--seed", "7"]
     done = call(*words, "--ordered", "-o", "b.h5")

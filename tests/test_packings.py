@@ -76,6 +76,14 @@ def test_the_networks_are_those_of_the_dumps(name, tmp_path):
             assert np.array_equal(array, shipped["network"][part])
         for part, value in shipped["network"].attrs.items():
             assert np.array_equal(made["network"].attrs[part], value)
+    # contacts by geometry are LAMMPS's: in the box of the dump, and in that of a table
+    known, table = pgran.matrices(PACKINGS / f"{name}.h5"), tmp_path / "a.csv"
+    table.write_text(Path(dumps[0]).read_text().partition("ITEM: ATOMS ")[2])
+    box = {"discs": "22.972206471849454,22.972206471849454", "spheres": "0,6,6"}[name]
+    for words in (dumps[:1], [str(table), "--box", box]):
+        imports.run([*words, "-o", f"{tmp_path}/a.h5", "--overwrite", *HELD[name]])
+        for one, other in zip(pgran.matrices(f"{tmp_path}/a.h5")[:3], known, strict=False):
+            assert abs(one - other).max() <= 1e-8 * abs(other).max()
 
 
 @pytest.mark.parametrize("name", AXES)

@@ -9,12 +9,12 @@ import numpy as np
 
 from pgran.arguments import called_right
 from pgran.balance.equilibrium import BALANCED, at_rest, without_rattlers
-from pgran.balance.motion import Balls, ContactLaw, Contacts, listed, pair_numbers
+from pgran.balance.motion import Balls, Contacts, listed, pair_numbers
 from pgran.errors import InputError
 from pgran.medium.base import EPSILON
 from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network
-from pgran.medium.packing import nearest_images
+from pgran.medium.packing import ContactLaw, nearest_images
 from pgran.medium.springs import AT_REST, FREE
 from pgran.run.numbers import numbers
 
@@ -140,23 +140,16 @@ def network_of(rest, like=None, **values):
     A ball without contacts is at rest.
     """
     balls, contacts = rest.balls, rest.contacts.of(rest.contacts.overlap > 0)
-    force = balls.law.force(contacts.constants, contacts.overlap)
-    distance = np.linalg.norm(contacts.away, axis=1)
     held = np.where(balls.held, AT_REST, FREE) if like is None else like.held
     alone = np.bincount(contacts.pairs.ravel(), minlength=len(held)) == 0
-    values = {
-        "bond": contacts.pairs,
-        "stiffness": balls.law.stiffness(contacts.constants, contacts.overlap),
+    values = balls.law.fields(**vars(contacts)) | {
         "held": np.where(alone & (held == FREE), AT_REST, held),
         "position": balls.position,
-        "normal": contacts.away / distance[:, None],
-        "distance": distance,
-        "force": force,
         "radius": balls.radius,
         "box": np.where(np.isfinite(balls.box), balls.box, 0.0),
     } | values  # fmt: skip
     if like is None:
-        return Network(power=balls.law.power, **values)
+        return Network(**values)
     return dataclasses.replace(like, **values, **of_new(like))
 
 

@@ -3,13 +3,14 @@
 import numpy as np
 
 from pgran.arguments import called_right, whole_number
-from pgran.balance.motion import near_pairs
 from pgran.errors import InputError
 from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network
+from pgran.medium.packing import near_pairs
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
 
 DIAGONAL = 1.2  # spacings: contacts that are longer are diagonals
+KEPT = ("kmax", "median_mass", "damping", "damping_power", "damping_reference")
 ROUNDS = 20  # to find the spacing
 
 
@@ -67,10 +68,9 @@ def ordered(packing: Network, seed: int = 1993) -> Network:
         held[places[:, axis] == cells[axis] + 1] = DRIVEN
     radius = np.full(len(places), spacing / 2)
     box = np.where(periodic, spacing * cells, np.inf)
-    pairs, away = near_pairs(spacing * places, radius, box, 0.5 * spacing)
-    moving = np.any(held[pairs] == FREE, axis=1)
-    pairs, away = pairs[moving], away[moving]
-    distance = np.linalg.norm(away, axis=1)
+    near = near_pairs(spacing * places, radius, box, 0.5 * spacing)
+    moving = np.any(held[near[0]] == FREE, axis=1)
+    pairs, away, distance = (values[moving] for values in near)
     contacts = round(each * balls)
     if contacts > len(pairs):
         raise InputError(f"ordered: {each:.3g} contacts a ball, more than a lattice has neighbours")
@@ -88,11 +88,7 @@ def ordered(packing: Network, seed: int = 1993) -> Network:
         distance=distance[chosen],
         radius=radius,
         box=np.where(periodic, box, 0.0),
-        kmax=packing.kmax,
-        median_mass=packing.median_mass,
-        damping=packing.damping,
-        damping_power=packing.damping_power,
-        damping_reference=packing.damping_reference,
+        **{name: getattr(packing, name) for name in KEPT},
         **of_new(packing, balls=True),
     )
 

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgran.arguments import called_right, choice, meant, nearest, whole_number
-from pgran.balance.motion import ContactLaw
+from pgran.arguments import called_right, choice, whole_number
 from pgran.balance.networks import network_of
 from pgran.balance.settle import DENSITY, under_gravity, under_pressure
 from pgran.errors import InputError
 from pgran.medium.conditions import columns_in, hold
-from pgran.medium.packing import POWERS
+from pgran.medium.packing import ContactLaw
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
 from pgran.run.numbers import number, numbers
 
@@ -114,10 +113,7 @@ def packed_network(
     push = number(f"pack: {name}", push)
     if not push > 0:
         raise InputError(f"pack: {name}: must be positive, not {push}")
-    power = POWERS.get(law, 0) if isinstance(law, str) else number("pack: law", law)
-    if not 1 <= power <= 4:
-        hint = meant(nearest(str(law), POWERS))
-        raise InputError(f"pack: law: {law} is not harmonic, hertz or a power from 1 to 4{hint}")
+    rule = ContactLaw.named("pack", law)
     if shape is not None:
         sides = numbers("pack: shape", shape)
         if sides.shape != (dimension,) or not np.all(sides > 0) or gravity is not None:
@@ -128,7 +124,7 @@ def packed_network(
         for column in () if condition is None else columns_in(str(condition)):
             choice(f"pack: {name}: a column", column, (*axes, "radius"))
     rng = np.random.default_rng(seed)
-    diameter, rule = diameters(balls, sizes, rng), ContactLaw(power)
+    diameter = diameters(balls, sizes, rng)
     if gravity is None:
         packed = under_pressure(diameter, dimension, rule, push, rng, shape)
     else:

@@ -1,9 +1,7 @@
 """`pgran import`: a contact network of another program becomes one of pgran's."""
 
 import argparse
-import contextlib
 import logging
-import math
 import re
 
 import numpy as np
@@ -11,24 +9,28 @@ import numpy as np
 from pgran.command.words import Parser, magnitude, positive
 from pgran.errors import DONE, InputError
 from pgran.foreign.assemble import assemble
-from pgran.foreign.contacts import AXES, ROLES, Balls, read_contacts
+from pgran.foreign.contacts import AXES, ROLES, Balls, read_contacts, touching
 from pgran.foreign.tables import read_graph, read_table
 from pgran.medium.base import BETA
 from pgran.medium.checks import KINDS
 from pgran.medium.dissipation import warn_of_damping
 from pgran.medium.network_file import check_output, write_network
+from pgran.medium.packing import POWERS, ContactLaw
 from pgran.medium.springs import DRIVEN, FREE
+from pgran.run.options import REALS, Option
 from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")
 
 UNSURE = 1e-2  # of a stiffness: what the printed digits may leave open
 BALANCED = 1e-3  # of the mean contact force: what may be left on a ball at rest
+BOX = Option("box", REALS, None, "periods of a table that does not say them, 0 for none", low=0)
 DESCRIPTION = """\
 Make a network from the balls and contacts that another program has written: two dumps of LAMMPS or
-LIGGGHTS (dump custom and dump local), two CSV files with a header, or one GraphML file. Of several
-snapshots the last one is taken. A CONDITION compares a coordinate or another column of the balls,
-'x<1.5', 'x>max-1.5 and type==2', or lists ids, '12,15,30-40'."""
+LIGGGHTS (dump custom and dump local), two CSV files with a header, or one GraphML file. Without
+CONTACTS balls that overlap are in contact. Of several snapshots the last one is taken. A CONDITION
+compares a coordinate or another column of the balls, 'x<1.5', 'x>max-1.5 and type==2', or lists
+ids, '12,15,30-40'."""
 
 
 def run(words):
@@ -38,11 +40,13 @@ def run(words):
     check_output(options.output, options.overwrite)
     with np.errstate(all="ignore"):  # of absurd numbers in a file: what comes of them is checked
         names = None  # of a graph's nodes
-        if options.contacts is None:
-            nodes, edges, names = read_graph(options.balls)
+        if options.by_geometry or options.contacts:
+            nodes, edges = (path and read_table(path) for path in (options.balls, options.contacts))
         else:
-            nodes, edges = read_table(options.balls), read_table(options.contacts)
-        contacts = read_contacts(edges, Balls(nodes), options.columns)
+            nodes, edges, names = read_graph(options.balls)
+        balls = Balls(nodes, options.box)
+        edges = edges or touching(balls, ContactLaw(POWERS[options.law], options.modulus or 1.0))
+        contacts = read_contacts(edges, balls, options.columns)
         made = assemble(contacts, options, names)
         cautions = [*_cautions(made, contacts, options)]
     write_network(options.output, made.members, made.attributes, options.overwrite)
@@ -61,6 +65,7 @@ def _parser():
         DESCRIPTION,
         "pgran import beads.atoms beads.contacts -o beads.h5 --rest 'x<1.5' --drive 'x>max-1.5'",
         "pgran import balls.csv contacts.csv -o beads.h5 --law hertz --drive 12,15,30-40",
+        "pgran import beads.csv -o beads.h5 --law hertz --box 20,20,0 --rest 'z<1'",
         "pgran import graph.graphml -o graph.h5 --drive 1",
     )
     columns = (
@@ -75,27 +80,18 @@ def _parser():
     add("--overwrite", action="store_true", help="replace an existing network")
     add("--law", help="stiffness: hertz (3/2 F/h), harmonic (F/h), or the column that holds it")
     add("--hertz", type=positive, metavar="C", help="C of F = C h^(3/2): stiffness by force alone")
+    add("--modulus", type=positive, metavar="C", help="C of F = C h, or C sqrt(R*) h^(3/2) (1)")
+    add("--box", type=BOX.read, metavar="LX,LY", help=BOX.meaning)
     add("--columns", help=columns)
     add("--rest", metavar="CONDITION", help="balls that are held at rest")
     add("--drive", metavar="CONDITION", help="balls that are driven")
-    add("--direction", type=_direction, help="direction of the drive: x, y, z or 1,0.5 (x)")
+    add("--direction", help="direction of the drive: x, y, z or 1,0.5 (x)")
     add("--cut", metavar="AXES", help="axes of a periodic box whose ends are cut: x or xy")
     add("--displacement", choices=KINDS, help="what a ball has (vector where there are positions)")
     add("--prestress", action=argparse.BooleanOptionalAction, help=prestress)
     add("--tangential", type=magnitude, metavar="RATIO", help="tangential over normal stiffness")
     add("--damping", type=magnitude, metavar="BETA", default=BETA, help="of each contact (.003)")
     return parser  # fmt: skip
-
-
-def _direction(text):
-    """Return the components of a direction, which may be the name of an axis."""
-    if text in tuple(AXES):
-        return np.eye(3)[AXES.index(text)]
-    with contextlib.suppress(ValueError):
-        components = np.array([float(word) for word in text.split(",")])
-        if len(components) in (2, 3) and 0 < np.linalg.norm(components) < math.inf:
-            return components
-    raise argparse.ArgumentTypeError(f"{text} is neither x, y, z nor 2 or 3 components")
 
 
 def _check(options):
@@ -107,9 +103,16 @@ def _check(options):
     of_vectors = options.prestress or options.tangential or options.direction is not None
     if options.displacement == "scalar" and of_vectors:
         raise InputError("--prestress, --tangential and --direction need vector displacements")
-    if options.balls.lower().endswith(".graphml") == (options.contacts is not None):
-        missing = "" if options.contacts else "CONTACTS is missing: "
-        raise InputError(f"{missing}one GraphML file holds both, dumps and CSV are two")
+    is_graph = options.balls.lower().endswith(".graphml")
+    if is_graph and options.contacts:
+        raise InputError("one GraphML file holds both, dumps and CSV are two")
+    options.by_geometry = not is_graph and not options.contacts
+    told = options.law not in POWERS or options.hertz or options.columns
+    if told if options.by_geometry else options.modulus:
+        raise InputError(
+            "where CONTACTS is missing, and only there, balls that overlap are in contact: this "
+            "needs --law hertz or harmonic, and takes --modulus, but no --hertz and --columns"
+        )
 
 
 def _cautions(made, contacts, options):
@@ -141,6 +144,8 @@ def _summary(made, contacts, options):
         if table.snapshots > 1:
             yield f"{path}: the last of {table.snapshots} snapshots, of the time step {table.step}"
     roles = [f"{role} = {contacts.roles[role]}" for role in ROLES if role in contacts.roles]
+    if options.by_geometry:
+        roles = [f"none; overlaps are {contacts.overlap.mean():.3g} in the mean"]
     yield f"columns of contacts: {', '.join(roles)}"
     left_out = (
         (kept.rattlers, "rattler", "without contacts"),

@@ -7,6 +7,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.foreign.contacts import AXES
 from pgran.medium import packing
+from pgran.medium.base import unit_vector
 from pgran.medium.conditions import hold
 from pgran.medium.network import Network
 from pgran.medium.springs import DRIVEN, FREE
@@ -105,7 +106,7 @@ def assemble(contacts, options, names=None):
         if shear is not None:
             members["tangential"] = shear[rows]
             attributes["kmax"] = max(attributes["kmax"], float(np.abs(shear[touch]).max()))
-        attributes["direction"] = _unit_vector(options.direction, balls.axes)
+        attributes["direction"] = unit_vector("--direction", options.direction, balls.axes)
     if options.law in packing.POWERS and "force" in members and np.all(force[rows] > 0):
         attributes["power"] = packing.POWERS[options.law]
     if balls.axes:
@@ -140,11 +141,3 @@ def _crossing(contacts, cut):
             raise InputError(f"--cut {AXES[axis]}: the packing is not periodic along {AXES[axis]}")
         across |= contacts.crossing[:, axis]
     return across
-
-
-def _unit_vector(direction, axes):
-    """Return the direction of the drive, as components of length 1; along x unless given."""
-    direction = np.eye(3)[0] if direction is None else direction
-    if len(direction) < axes or np.any(direction[axes:]):
-        raise InputError(f"--direction: the packing has {axes} axes")
-    return direction[:axes] / np.linalg.norm(direction)

@@ -31,7 +31,7 @@ def checked_values(network, arrays):
             if name in UNIFORM and numbers(f"network: {name}", value).ndim == 0:
                 value = np.full(lengths[axes[0]], value, float)
             wanted = [lengths.get(axis) for axis in axes]
-            values[name] = _checked_array(name, value, arrays[name]["dtype"], wanted)
+            values[name] = checked_array(name, value, arrays[name]["dtype"], wanted)
             lengths.update(zip(axes, values[name].shape, strict=True))
 
     check("held", "bond")
@@ -62,7 +62,7 @@ def checked_values(network, arrays):
         if value is not None and coordinates is None:
             raise InputError("network: a box or gravity is that of balls with positions")
         if value is not None:
-            values[name] = _checked_array(name, value, float, [coordinates])
+            values[name] = checked_array(name, value, float, [coordinates])
     return values
 
 
@@ -79,7 +79,7 @@ def _normals(position, bond):
     return away / distance[:, None], distance
 
 
-def _checked_array(name, value, dtype, wanted):
+def checked_array(name, value, dtype, wanted):
     """Return finite numbers of the shape `wanted`, None for any length, as a read-only copy."""
     array = np.array(numbers(f"network: {name}", value, whole=dtype is int))
     if wanted[0] is None:

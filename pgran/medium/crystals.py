@@ -13,9 +13,9 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.medium.graph import subnetwork, without_floating
-from pgran.medium.law import BondLaw, unit_numbers
+from pgran.medium.law import drawn, unit_numbers
 from pgran.medium.network import Network
-from pgran.medium.packing import nearest_images
+from pgran.medium.packing import near_pairs
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
 
 HALF, ROOT3 = 0.5, math.sqrt(3)
@@ -44,8 +44,7 @@ def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993,
         Cells along each axis. A cell holds 1 ball (square, cubic), 2 (triangular, in two rows along
         x), or 4 (honeycomb; fcc, the cube).
     stiffness : float, array_like or callable
-        Of every contact; of each, those of two held balls included; a `BondLaw`; or what returns
-        as many numbers as it is asked for: stiffness(rng, count).
+        Of every contact; of each, those of two held balls included; or a law, as of `relax`.
     periodic : bool or sequence of bool
         Whether the last balls along an axis touch the first.
     held : array_like of int, optional
@@ -100,29 +99,21 @@ def random_geometric(
     out. Held at the first axis' ends are the balls within the radius of them. The others are as
     those of `crystal`, of each contact in the order of the balls' numbers.
     """
-    from scipy.spatial import cKDTree
-
     if count < 1 or dimension not in (1, 2, 3):
         raise InputError("random_geometric: points in 1 to 3 dimensions are needed")
     edge = count ** (1 / dimension)
-    box = np.where(np.broadcast_to(periodic, (dimension,)), edge, 0.0)
+    box = np.where(np.broadcast_to(periodic, (dimension,)), edge, np.inf)
     if radius is None:
         # a ball of this radius in d dimensions holds so many of one point a unit volume
         ball = math.pi ** (dimension / 2) / math.gamma(dimension / 2 + 1)
         radius = (contacts / ball) ** (1 / dimension)
-    if np.any(box) and not 2 * radius < edge:
-        raise InputError(f"random_geometric: radius {radius:.3g} in a periodic box of {edge:.3g}")
     position = edge * unit_numbers(seed, 0, count * dimension).reshape(count, dimension)
-    bond = cKDTree(position, boxsize=box).query_pairs(radius, output_type="ndarray")
-    bond = bond[np.lexsort(bond.T[::-1])]
+    bond, away, distance = near_pairs(position, np.full(count, radius / 2), box, 0.0)
     if held is None:
         held = np.zeros(count, dtype=int)
-        if not box[0]:
+        if np.isinf(box[0]):
             held[position[:, 0] < radius] = AT_REST
             held[position[:, 0] > edge - radius] = DRIVEN
-    away = position[bond[:, 1]] - position[bond[:, 0]]
-    away, _ = nearest_images(away, np.where(box > 0, box, np.inf))
-    distance = np.linalg.norm(away, axis=1)
     geometry = {"position": position, "normal": away / distance[:, None], "distance": distance}
     return without_floating(_made(bond, stiffness, held, seed, radius / 2, geometry | others))[0]
 
@@ -145,10 +136,8 @@ def _made(bond, stiffness, held, seed, radius, others):
 
     Constants are given, or drawn by a law; balls that turn have a `radius` unless others say more.
     """
-    if isinstance(stiffness, BondLaw):
-        stiffness = stiffness(unit_numbers(seed, 0, len(bond), generation=1))
-    elif callable(stiffness):
-        stiffness = stiffness(np.random.Generator(np.random.Philox(seed)), len(bond))
+    if callable(stiffness):
+        stiffness = drawn(stiffness, unit_numbers(seed, 0, len(bond), generation=1))
     elif np.ndim(stiffness) == 0:
         stiffness = np.full(len(bond), stiffness)
     if others.setdefault("displacement", "vector") == "rotations":

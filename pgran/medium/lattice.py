@@ -11,6 +11,7 @@ exist. Instead of a wall's motion forces on balls, a push, may drive.
 import dataclasses
 import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -31,7 +32,7 @@ from pgran.medium.bonds import (
     cut_sides,
     dissected,
 )
-from pgran.medium.law import BondLaw, unit_numbers
+from pgran.medium.law import BondLaw, check_law, deeper, drawn, unit_numbers
 from pgran.medium.springs import Elastic, Springs
 from pgran.run.machine import check_memory
 from pgran.run.numbers import number, numbers
@@ -163,7 +164,7 @@ class Lattice(Elastic):
     @classmethod
     @called_right
     def random(
-        cls, shape: "ArrayLike", seed: int = 1993, law: "str | BondLaw" = "uniform", *,
+        cls, shape: "ArrayLike", seed: int = 1993, law: str | Callable = "uniform", *,
         mass: float = 1.0, damping: float = BETA, free: tuple = (), gravity: float = 0.0,
         damping_power: float = 0.0, drag: float = 0.0, loss: float = 0.0, **parameters: float,
     ) -> "Lattice":  # fmt: skip
@@ -175,8 +176,8 @@ class Lattice(Elastic):
             Balls along each of 1 to 3 axes.
         seed : int
             Seed of the bond constants, 0 to 2^64 - 1.
-        law : str or BondLaw
-            The law of the bond constants; its kmax, where it has one, is the lattice's.
+        law : str or callable
+            A name, a `BondLaw`, or as `relax` takes it; its `kmax`, if any, is the lattice's.
         mass, damping, damping_power, drag, loss : float
             m of a ball, beta of every bond, p, alpha and eta.
         free : sequence of str
@@ -198,7 +199,7 @@ class Lattice(Elastic):
         >>> pgran.Lattice.random((6, 5), law="bimodal", fraction=0.8)
         Lattice(6 x 5, mass=1, beta 0.003, omega_mx=1)
         """
-        if not isinstance(law, BondLaw):
+        if not callable(law):
             law = BondLaw(law, **parameters)
         elif parameters:
             raise InputError(f"-bonds_law: this law has its parameters, and takes no {parameters}")
@@ -210,12 +211,12 @@ class Lattice(Elastic):
         if not 0 <= seed < 2**64:
             raise InputError(f"-bonds_seed: must lie between 0 and 2^64 - 1, not {shown(seed)}")
         check_memory("lattice_shape", 150 * bond_count(shape))  # with the least of matrices
-        bonds = bond_arrays(shape, law(unit_numbers(seed, 0, bond_count(shape))))
+        bonds = bond_arrays(shape, drawn(check_law(law), unit_numbers(seed, 0, bond_count(shape))))
         if gravity:
             above = balls_above(shape)
-            bonds = tuple(k * law.deeper(gravity, n) for k, n in zip(bonds, above, strict=True))
+            bonds = tuple(k * deeper(law, gravity, n) for k, n in zip(bonds, above, strict=True))
         dissipation = {"damping_power": damping_power, "drag": drag, "loss": loss}
-        return cls(bonds, mass, damping, law.kmax, free=free, **dissipation)
+        return cls(bonds, mass, damping, getattr(law, "kmax", None), free=free, **dissipation)
 
     @cached_property
     def bonds_sha256(self):

@@ -171,19 +171,20 @@ class BondLaw:
         """Return the constants that belong to numbers uniform on [0, 1)."""
         return self.function(u, *self.parameters.values())
 
-    def deeper(self, weight, above):
-        """Return by how much Hertz's law is stiffer below so many balls of a weight.
-
-        The mean force grows from `force` to force + weight * above, k like its cube root.
-        """
-        GRAVITY.check(weight)
-        if self.name != "hertz":
-            raise InputError("-bonds_gravity: forces make constants by -bonds_law hertz only")
-        return np.cbrt(1 + weight * above / self.parameters["force"])
-
     def __repr__(self):
         parameters = (f"{key}={value}" for key, value in self.parameters.items())
         return f"BondLaw({', '.join([repr(self.name), *parameters])})"
+
+
+def deeper(law, weight, above):
+    """Return by how much Hertz's law is stiffer below so many balls of a weight.
+
+    The mean force grows from `force` to force + weight * above, k like its cube root.
+    """
+    GRAVITY.check(weight)
+    if getattr(law, "name", None) != "hertz":
+        raise InputError("-bonds_gravity: forces make constants by -bonds_law hertz only")
+    return np.cbrt(1 + weight * above / law.parameters["force"])
 
 
 def make_law(options):
@@ -203,8 +204,8 @@ def check_law(law):
     if not callable(law):
         hint = "pgran.BondLaw makes one"
         raise InputError(f"law: {shown(law)} is no function of numbers between 0 and 1; {hint}")
-    whole = _drawn(law, TRIED)
-    parts = np.concatenate([_drawn(law, TRIED[:3]), _drawn(law, TRIED[3:])])
+    whole = drawn(law, TRIED)
+    parts = np.concatenate([drawn(law, TRIED[:3]), drawn(law, TRIED[3:])])
     if not np.allclose(whole, parts, rtol=1e-12, atol=0):
         raise InputError(
             "law: returns other constants for the same numbers; each must depend on its own number "
@@ -216,7 +217,7 @@ def check_law(law):
 TRIED = unit_numbers(0, 0, 16)  # what laws are tried with
 
 
-def _drawn(law, u):
+def drawn(law, u):
     """Return a law's constants, finite and not negative, one for each number; raise InputError."""
     try:
         returned = law(u.copy())
@@ -288,7 +289,7 @@ class Redraw:
         def own(u):
             return constants[(u * len(constants)).astype(np.int64)]
 
-        self.law = own if law is None else partial(_drawn, law)
+        self.law = own if law is None else partial(drawn, law)
 
     def __call__(self, trajectory, first, count, unit=1.0):
         """Return the changes of some steps, constants in a unit; see `draw_changes`."""

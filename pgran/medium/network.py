@@ -19,7 +19,7 @@ from pgran.errors import InputError
 from pgran.medium.base import AXES, BETA, EPSILON, check_magnitudes, closest, unit_vector
 from pgran.medium.checks import check_network, checked_values
 from pgran.medium.contacts import springs_of
-from pgran.medium.graph import Connected
+from pgran.medium.graph import Connected, rattlers
 from pgran.medium.springs import AT_REST, DRIVEN, FREE, Elastic, norm_of
 from pgran.run.numbers import number, numbers
 from pgran.store.record import Record, array, attribute, attribute_array
@@ -261,6 +261,44 @@ class Network(Connected, Elastic):
         kmax = self.stiffest if self.kmax is None else self.kmax
         own["kmax"] = number("network: kmax", kmax)
         check_magnitudes(self)
+
+    @classmethod
+    @called_right
+    def of_balls(
+        cls, position: np.ndarray, radius: np.ndarray, box: np.ndarray | None = None,
+        law: str | float = "harmonic", modulus: float = 1.0, **others: object,
+    ) -> "Network":  # fmt: skip
+        """Return the network of balls that are in contact where they overlap.
+
+        A contact of the overlap h = R_i + R_j - distance bears F = c h^alpha as pre-stress, with
+        c = C (R_i R_j / (R_i + R_j))^(alpha - 1), and has the stiffness alpha F / h. Rattlers stay,
+        with a warning. Raises InputError where nothing overlaps, a box is too small to tell images
+        apart, or a value is impossible.
+
+        Parameters
+        ----------
+        position, radius : array_like of float, shapes (N, d), and (N,) or one for all
+        box : array_like of float, shape (d,), optional
+            Periods along each axis, 0 where there is none.
+        law, modulus : str or float, float
+            `harmonic`, `hertz`, or alpha; C, a spring constant, or 4/3 E* of Hertz's law.
+        **others
+            Of `Network`: `held`, `masses` (1 unless given) ...; `force=None`: no pre-stress.
+
+        Examples
+        --------
+        >>> row = pgran.Network.of_balls([[0, 0], [0.75, 0], [1.5, 0]], 0.5, held=[2, 0, 1])
+        >>> row.bond.tolist(), row.force.tolist()
+        ([[0, 1], [1, 2]], [0.25, 0.25])
+        """
+        from pgran.medium.packing import ContactLaw, touching
+
+        values = touching(position, radius, box, ContactLaw.named("network", law, modulus))
+        network = cls(**values | {"displacement": "vector"} | others)
+        if loose := np.count_nonzero(rattlers(network)):
+            why = "touch too few others, or none: pgran.without_rattlers leaves them out"
+            log.warning("%d of %d balls are rattlers, which %s", loose, len(network.held), why)
+        return network
 
     def __repr__(self):
         plane = "" if self.displacement == "scalar" else f" in {self.axes} dimensions"

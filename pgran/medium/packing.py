@@ -1,13 +1,56 @@
 """Packings: laws of contacts, periodic boxes, parts that can vibrate, balance of forces."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from pgran.arguments import meant, nearest
+from pgran.errors import InputError
+from pgran.medium.checks import checked_array
 from pgran.medium.graph import anchored
 from pgran.medium.springs import FREE
+from pgran.run.numbers import number
 
 POWERS = {"harmonic": 1.0, "hertz": 1.5}  # of the overlap: F = c h^power, k = power F / h
+
+
+@dataclass(frozen=True)
+class ContactLaw:
+    """F = c h^power, with c = modulus (R_i R_j / (R_i + R_j))^(power - 1)."""
+
+    power: float
+    modulus: float = 1.0
+
+    @classmethod
+    def named(cls, name, law, modulus=1.0):
+        """Return the law harmonic, hertz, or of a power; raise an InputError that has a `name`."""
+        power = POWERS.get(law, 0) if isinstance(law, str) else number(f"{name}: law", law)
+        if not 1 <= power <= 4:
+            hint = f"a power from 1 to 4{meant(nearest(str(law), POWERS))}"
+            raise InputError(f"{name}: law: {law} is not harmonic, hertz or {hint}")
+        return cls(power, number(f"{name}: modulus", modulus))
+
+    def constants(self, first, second):
+        """Return c of contacts between balls of these radii."""
+        return self.modulus * (first * second / (first + second)) ** (self.power - 1)
+
+    def force(self, constants, overlap):
+        """Return F; none where balls do not overlap."""
+        return constants * np.maximum(overlap, 0.0) ** self.power
+
+    def stiffness(self, constants, overlap):
+        """Return dF/dh; none where balls do not overlap."""
+        touching = overlap > 0
+        height = np.where(touching, overlap, 1.0)
+        return np.where(touching, self.power * constants * height ** (self.power - 1), 0.0)
+
+    def fields(self, pairs, away, overlap, constants):
+        """Return contacts that bear forces by the law, as `Network` takes them, by name."""
+        distance = np.linalg.norm(away, axis=1)
+        force, stiffness = self.force(constants, overlap), self.stiffness(constants, overlap)
+        contacts = {"bond": pairs, "normal": away / distance[:, None], "distance": distance}
+        return contacts | {"force": force, "stiffness": stiffness, "power": self.power}
 
 
 def nearest_images(away, periods):
@@ -18,6 +61,54 @@ def nearest_images(away, periods):
     finite = np.isfinite(periods)
     turns = np.rint(away / periods)  # 0 where the period is infinite
     return away - turns * np.where(finite, periods, 0.0), turns != 0
+
+
+def near_pairs(position, radius, box, reach):
+    """Return the pairs (n, 2) of balls nearer than `reach` to touching, vectors, distances.
+
+    `box` are the periods along each axis, infinite where there is none. Raises InputError where
+    the box is so small that a ball could touch two images of another.
+    """
+    from scipy.spatial import cKDTree  # here: SciPy takes its time
+
+    cutoff, periodic = 2 * radius.max() + reach, np.isfinite(box)
+    if np.any(box[periodic] < 2 * cutoff):
+        raise InputError(
+            f"the box is {box[periodic].min():.4g} wide, less than {2 * cutoff:.4g}: "
+            "balls could touch two images of another; more balls are needed"
+        )
+    inside = position - position.min(axis=0)
+    inside[:, periodic] = position[:, periodic] % box[periodic]
+    inside[:, periodic] *= inside[:, periodic] < box[periodic]  # rounded up to the period
+    tree = cKDTree(inside, boxsize=np.where(periodic, box, 0.0))
+    pairs = tree.query_pairs(cutoff, output_type="ndarray")
+    pairs = pairs[np.lexsort(pairs.T[::-1])]
+    away, _ = nearest_images(position[pairs[:, 1]] - position[pairs[:, 0]], box)
+    distance = np.linalg.norm(away, axis=1)
+    near = distance < radius[pairs].sum(axis=1) + reach
+    return pairs[near], away[near], distance[near]
+
+
+def touching(position, radius, box, law):
+    """Return the balls and contacts of `Network.of_balls`, as `Network` takes them, by name."""
+    position = checked_array("position", position, float, [None, None])
+    count, axes = position.shape
+    radius = radius if np.ndim(radius) else np.full(count, radius)
+    radius = checked_array("radius", radius, float, [count])
+    box = checked_array("box", np.zeros(axes) if box is None else box, float, [axes])
+    if not np.all(radius > 0):
+        raise InputError("network: radius: must be positive")
+    pairs, away, distance = near_pairs(position, radius, np.where(box > 0, box, np.inf), 0.0)
+    if not len(pairs):
+        raise InputError(
+            "no two balls overlap, and what only touches bears nothing: are positions, radii and "
+            "box in one unit? Radii a little larger, as 1.001 R, let those overlap that touch"
+        )
+    if not np.all(distance):
+        raise InputError("network: two balls are at the same place")
+    overlap = radius[pairs].sum(axis=1) - distance
+    balls = {"position": position, "radius": radius, "box": box, "held": np.zeros(count, int)}
+    return balls | law.fields(pairs, away, overlap, law.constants(*radius[pairs].T))
 
 
 class Kept(NamedTuple):

@@ -110,7 +110,7 @@ def random_medium(rng):
     else:
         medium = crystals.random_geometric(
             60, 2, 6.0, masses=10 ** rng.uniform(-0.5, 0.5, 60), direction=[3.0, 4.0],
-            stiffness=lambda rng, count: rng.uniform(0.5, 1, count), seed=seed,
+            stiffness=lambda u: 0.5 + u / 2, seed=seed,
         )  # fmt: skip
     beta *= np.sqrt(medium.stiffest * medium.mass)
     medium = dataclasses.replace(medium, damping=beta)
