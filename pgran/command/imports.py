@@ -80,7 +80,7 @@ def _parser():
     add("--overwrite", action="store_true", help="replace an existing network")
     add("--law", help="stiffness: hertz (3/2 F/h), harmonic (F/h), or the column that holds it")
     add("--hertz", type=positive, metavar="C", help="C of F = C h^(3/2): stiffness by force alone")
-    add("--modulus", type=positive, metavar="C", help="C of F = C h, or C sqrt(R*) h^(3/2) (1)")
+    add("--modulus", type=positive, metavar="C", help="without CONTACTS: F = C h, C sqrt(R*) h^1.5")
     add("--box", type=BOX.read, metavar="LX,LY", help=BOX.meaning)
     add("--columns", help=columns)
     add("--rest", metavar="CONDITION", help="balls that are held at rest")

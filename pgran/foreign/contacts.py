@@ -39,7 +39,7 @@ MISFIT, OBEYING = 2.0, 0.9  # errors of an overlap by a law, and the part of the
 CLEAR, FEWEST = 10.0, 9  # errors that an overlap must have to tell the power, and how many do,
 SHORTEST_RANGE = 0.5  # unless their logarithms lie as near to each other
 EXACT = 1e-8  # of an overlap: errors that need no law
-DERIVED = 1e-13  # of overlaps: forces this near to them follow from them, and tell nothing more
+DERIVED = 1e-13  # of overlaps: if all forces are as near to them they follow from them
 POWER_GAP = 0.1  # of two powers that differ, beyond three standard errors
 
 
@@ -99,7 +99,7 @@ def _positions(table, lengths):
     # LAMMPS prints coordinates as x, unwrapped as xu, in units of the box as xs, or both as xsu
     ending = next((end for end in ("", "u", "s", "su") if f"x{end}" in table), None)
     if ending is None:
-        if table.places.dtype.kind == "U":  # a graph may lie nowhere
+        if table.places.dtype.kind == "U" and lengths is None:  # a graph may lie nowhere
             return None, np.empty(0)
         table.numbers("x")
     axes = "xyz" if f"z{ending}" in table else "xy"
@@ -472,7 +472,7 @@ def overlaps_by_law(force, overlap, error, scales, power):
     _, off, own = min(found, key=lambda each: each[0], default=(0, 0, np.inf))
     off += sum(np.abs(other / own - 1)[pushing].max(initial=0.0) for *_, other in found)
     obeying = pushing & (np.abs(overlap - own) <= MISFIT * error) & (error > EXACT * overlap)
-    obeying &= np.median(np.abs(overlap / own - 1)[pushing]) > DERIVED
+    obeying &= np.any(np.abs(overlap / own - 1)[pushing] > DERIVED)
     off = np.where(obeying, off, error / overlap)[pushing].max(initial=0.0)
     return np.where(obeying, own, overlap), off
 

@@ -105,7 +105,7 @@ def touching(position, radius, box, law):
             "box in one unit? Radii a little larger, as 1.001 R, let those overlap that touch"
         )
     if not np.all(distance):
-        raise InputError("network: two balls are at the same place")
+        raise InputError(f"balls {pairs[distance.argmin()].tolist()} (rows) are at the same place")
     overlap = radius[pairs].sum(axis=1) - distance
     balls = {"position": position, "radius": radius, "box": box, "held": np.zeros(count, int)}
     return balls | law.fields(pairs, away, overlap, law.constants(*radius[pairs].T))
