@@ -252,6 +252,7 @@ ROWS = {
         lambda c: pgran.heat(c.plain, c.omegas[::4], c.heard, samples=3,
                              radius=1e-2 * c.plain.overlap.mean()),
     ),
+    "matrices": (lambda c: c.fields and pgran.matrices(c.medium).K.toarray() / c.units["k"],),
     "ordered": (lambda c: pgran.ordered(c.plain),),
     "pack": (lambda c: in_units(
         pgran.pack(20, pressure=0.01, sizes=c.length * np.linspace(1, 2, 20)), c.units),),
