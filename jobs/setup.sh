@@ -36,7 +36,7 @@ wheels=(
   scipy==1.18.1 matplotlib==3.11.2 tqdm==4.70.1 pytest==9.2.0 mpmath==1.4.1 xarray==2026.9.0
   h5netcdf==1.8.2 setuptools wheel
 )
-extras=(matplotlib scipy tqdm pytest mpmath meshio networkx) # figures, spectra and tests; from PyPI where missing
+extras=(matplotlib scipy tqdm pytest mpmath meshio networkx pandas) # figures, spectra and tests; from PyPI where missing
 ruff="ruff==0.14.4" # pinned: its formatting changes between versions
 
 say() { echo "setup: $*" >&2; }

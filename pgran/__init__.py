@@ -48,6 +48,7 @@ _HOMES = {
     "statistics": "pgran.experiments.ensemble.statistics",
     "structure": "pgran.experiments.structure.scene",
     "sweep": "pgran.experiments.response.scene",
+    "table": "pgran.command.table",
     "transport": "pgran.experiments.ensemble.transport",
     "without_rattlers": "pgran.medium.graph",
     "with_source": "pgran.medium.source",

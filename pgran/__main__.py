@@ -23,7 +23,9 @@ SECONDS_TO_BE_ENDED = 5.0  # that a rank waits for another one's abort
 # exit code.
 COMMANDS = {
     "run": ("FILE [-key value ...]", "compute the experiment in an options file", "run.run"),
+    "study": ("FILE -key A B ...", "compute it for each of several values", "study.run"),
     "plot": ("RESULT [OTHER ...]", "draw the figures of a result, or of several", "plot.run"),
+    "table": ("RESULT OTHER ...", "tell the numbers of several results", "table.run"),
     "compare": ("A B", "say how alike two responses or two codas are", "compare.run"),
     "export": ("RESULT TO", "write it as a table, or for ParaView", "export.run"),
     "verify": ("RESULT", "say whether it is unchanged", "verify.verify"),

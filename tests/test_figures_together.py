@@ -17,6 +17,7 @@ from figure_results import (
     respond_box,
     result_of,
 )
+from matplotlib.colors import to_rgba
 from samples import random_lattice
 
 import pgran
@@ -148,6 +149,28 @@ def test_of_several_detectors_colours_are_balls_and_styles_are_results():
     lay_out(made["amplitude"])  # a $ of a file's name begins no formula
 
 
+@pytest.mark.parametrize("key", ["lattice_damping", "relax_steps", "bonds_seed"])
+def test_many_results_have_a_scale_of_colours(key):
+    """Over the number in which they differ, logarithmic over decades; samples are all alike."""
+    values = np.array([1, 2, 3, 5, 10 if key == "lattice_damping" else 9, 7, 8])
+    shown = [respond(X) for _ in values]
+    for result, value in zip(shown, values, strict=True):
+        result.options = f"-{key} {value}\n"
+    page = pgran.plot(shown)["phase"]
+    seen = np.array([to_rgba(line.get_color()) for line in curves(page.panels[0])])
+    place = np.log10(values) if key == "lattice_damping" else (values - 1) / 8
+    expected = style.colours(256)[np.minimum(256 * place, 255).astype(int)]
+    alike = key == "bonds_seed"
+    assert np.abs(seen - (seen[0] if alike else expected)).max() < 0.02
+    assert legend(page) == ["7 seeds"] * alike
+    assert len(page.axes) == 2 - alike
+    assert alike or f"Colours: {page.axes[1].get_ylabel()}, from 1 to {max(values)}" in page.caption
+    lay_out(page)
+    shown[0].response = respond(X, [(1, 1), (3, 0)]).response
+    with pytest.raises(FileError, match="7 results: so many are drawn of one detector each"):
+        pgran.plot(shown)
+
+
 def test_labels_of_the_user(damped, monkeypatch):
     """One for each result, in their order; what is between dollars is a formula if it is one."""
     given = ["loose, $P$ = .02" + 4 * " and packed", r"$\nonsense$", "1e-5"]
@@ -167,6 +190,7 @@ def test_labels_of_the_user(damped, monkeypatch):
         plot(["a.h5", "b.h5", "-label", "one"])
     for shown, words, said in (
         (damped[0], ["one"], "-label: 1 label for 1 result; of"),
+        (damped * 3, list("abcdefghi"), "-label: more than 6 results are told apart by their col"),
         (damped, ["one", "one", "b"], "a label of its own, which is not empty"),
         (damped, ["one", " ", "b"], "a label of its own, which is not empty"),
     ):
@@ -247,7 +271,7 @@ def test_results_that_are_not_laid_over_each_other():
     counts = SimpleNamespace(**vars(count_modes()) | {"scene": "modes"})
     for shown, said in (
         ([respond_box()] * 2, "scene continuum are not laid over each other, but of r"),
-        ([result] * 7, "7 results: at most 6 are told apart"),
+        ([result] * 7, "7 results: at most 6 are told apart by labels, .* differ: none"),
         ([still] * 2, "omega_mx is 0"),
         ([counts] * 2, "normal modes alone are laid over each other"),
         ([find_modes(interval=(50.0, 51.0))] * 2, "no modes"),

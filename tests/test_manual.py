@@ -23,7 +23,7 @@ from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.draw import pages
 from pgran.medium import network_file
 from pgran.run import keys as solver_keys
-from pgran.run.options import read_file, read_words
+from pgran.run.options import files_first, read_file, read_files, read_words
 from pgran.store import file
 from pgran.store.record import Record
 
@@ -130,9 +130,13 @@ def read_command(line):
     if words[0] != "pgran":
         assert (ROOT / words[0]).is_file(), line
         if words[0].endswith(".sbatch"):
-            resolve(read_file(ROOT / words[1]) + read_words(words[2:]))
+            given = read_words(
+                words[2 : 4 if "study" in words[0] else None]
+            )  # of a study one value
+            resolve(read_file(ROOT / words[1]) + given)
     elif words[1] == "run":
-        resolve(read_file(ROOT / words[2]) + read_words(words[3:]))
+        files, rest = files_first(words[2:])
+        resolve(read_files([ROOT / file for file in files]) + read_words(rest))
     else:
         assert words[1] in COMMANDS, line
 

@@ -8,7 +8,7 @@ import pytest
 from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.errors import FileError, InputError
 from pgran.run.keys import SOLVERS, read_solver
-from pgran.run.options import read_environment, read_file, read_words
+from pgran.run.options import read_environment, read_file, read_files, read_words
 
 SHIPPED = sorted((Path(__file__).parents[1] / "options").rglob("*.opts"))
 
@@ -59,6 +59,17 @@ def test_file_syntax(written):
     assert (found.lattice_shape, found.bonds_seed, found.output_fields) == ((3, 4), 9, True)
     assert found.output_file == "a folder/b#c.h5"
     assert found.solver == {"steady_ksp_type": "gmres"}
+
+
+def test_later_files_win_as_the_command_line_does(written):
+    first = written("-scene response\n-lattice_damping 1\n-bonds_seed 9\n-sweep_points 7\n")
+    other = written("-network_file a.h5\n-sweep_points 8\n-steady_pc_type python", "b.opts")
+    words = read_words(["-steady_pc_type", "lu", "-sweep_max", "2"])
+    found = resolve([*read_files([first, other]), *words])
+    assert (found.network_file, found.lattice_damping, found.sweep_points) == (("a.h5",), None, 8)
+    assert found.solver == {"steady_pc_type": "lu"}
+    with pytest.raises(InputError, match=r"b\.opts, line 3.*not on the list"):
+        resolve(read_files([first, other]))
 
 
 def test_files_that_cannot_be_read(tmp_path):

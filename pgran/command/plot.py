@@ -49,7 +49,8 @@ def plot(
     ----------
     result : pgran.store.record.Result, pgran.Network, str or os.PathLike, or a list of these
         What `load` returns, or the path of its file. Several of one scene (response, modes,
-        relaxation, pulse) are laid over each other; of heaters in packings each is a point.
+        relaxation, pulse) are laid over each other, more than six by a scale of colours over the
+        option that differs; of heaters in packings each is a point.
     output : str or os.PathLike, optional
         Where to save: `results/a.png` gives `results/a-amplitude.png` and so on; the ending decides
         the format. A missing folder is made.
@@ -88,8 +89,8 @@ def plot(
         figure cannot be saved.
     InputError
         If modes or a response are to be laid over several results, the width, a unit or the scale
-        is impossible, labels are not one for each of several results, or a caption would replace
-        the data of `measured`.
+        is impossible, labels are not one for each of several results (up to six), or a caption
+        would replace the data of `measured`.
     PgranError
         If there is no matplotlib.
 
@@ -147,9 +148,11 @@ def _make(results, names, units, measured, width, labels=None, **over):
         raise InputError("-plot_unit, -plot_scale: are about -plot_with, which is missing")
     data = None if measured is None else _measured(results, units, measured, unit, scale)
     if several:
-        from pgran.medium.labels import labels_of
+        from pgran.medium.labels import MOST, labels_of
 
-        names = labels or (names if points else labels_of(results, names))
+        if labels and len(labels) > MOST:
+            raise InputError(f"-label: more than {MOST} results are told apart by their colours")
+        names = labels or (names if points or curves > MOST else labels_of(results, names))
         made = figures.compare(results, names, units, width)
     else:
         made = figures.make(results[0], units, width, **over)
@@ -196,7 +199,8 @@ def run(words):
 
     With another one of the same lattice its modes are marked in a response, or its response is laid
     over the spectra of a pulse. Several of one scene are laid over each other, labelled by the
-    options in which they differ, or as you say. A network, of pgran import, is drawn by itself.
+    options in which they differ, or as you say; more than six by a scale of colours. A network, of
+    pgran import, is drawn by itself.
     """
     parser = Parser(
         "plot",

@@ -17,17 +17,18 @@ from pgran.command.resolve import SCENES, opening, resolve, run_scene
 from pgran.errors import FileError, InputError, PgranError
 from pgran.run import launch, machine, streams
 from pgran.run.agreement import agreeing, on_root
-from pgran.run.options import check_word, read_environment, read_file, read_words
+from pgran.run.options import files_first, read_environment, read_files, read_words
 
 log = logging.getLogger("pgran")
 
 DOES = """\
-Compute the experiment in an options file, and write its result to results/NAME.h5. Keys given here
-win over the file's. The same command goes on with a run that was stopped."""
+Compute the experiment in an options file, and write its result to results/NAME.h5. Further files,
+NAME.opts, win over those before, keys given here over all. The same command goes on with a run that
+was stopped."""
 EXAMPLES = (
     "pgran run options/response.opts",
     "mpirun -n 2 pgran run options/response.opts -bonds_seed 7 -output_file results/seven.h5",
-    "pgran run options/response.opts -lattice_shape 40,40 -dry_run",
+    "pgran run options/response.opts options/solvers/gmres.opts -lattice_shape 40,40 -dry_run",
 )
 MORE = """\
 keys:
@@ -51,7 +52,7 @@ def run(words):
     if {"-h", "--help", "-help"} & set(words):
         from pgran.command.words import Parser
 
-        usage = "pgran run FILE [-key value ...]"
+        usage = "pgran run FILE [MORE.opts ...] [-key value ...]"
         Parser("run", DOES, *EXAMPLES, more=MORE, usage=usage, add_help=False).print_help()
         return errors.DONE
     faulthandler.enable()  # a crash in a library names the line that called it
@@ -59,11 +60,10 @@ def run(words):
     world = start_mpi()  # before any error: without MPI mpirun would have more to say of it
     if not words or words[0].startswith("-"):
         raise InputError(f"run: an options file comes first, as in {EXAMPLES[0]}")
-    path, *rest = words
-    check_word(path)
+    files, rest = files_first(words)
     environment = world.bcast(read_environment())  # each rank's own is not to be read by PETSc
-    given = environment + on_root(world, lambda: read_file(path)) + read_words(rest)
-    options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
+    given = environment + on_root(world, lambda: read_files(files)) + read_words(rest)
+    options = resolve(given, output_file=f"results/{Path(files[0]).stem}.h5")
     if options.output_log:
         _start_log(options, words, world)
     scene = SCENES[options.scene]

@@ -10,6 +10,7 @@ from pgran.store.estimate import counted
 log = logging.getLogger("pgran")
 
 LONGEST_LABEL = 120  # characters of what tells results apart
+MOST = 6  # results that colours and line styles tell apart in one figure
 # Options that are not called by their keys; {} is the value.
 WORDS = {key: f"{letter} = {{}}" for key, letter in LETTERS.items()}
 WORDS |= {"lattice_shape": "{} balls", "network_file": "network {}", "bonds_law": "bonds {}"}
@@ -51,8 +52,7 @@ def labels_of(results, names):
     curves show, unless nothing else is.
     """
     facts = [facts_of(getattr(result, "options", "")) for result in results]
-    keys = dict.fromkeys(key for each in facts for key in each)
-    differ = [key for key in keys if len({each.get(key) for each in facts}) > 1]
+    differ = _differing(facts)
     labels = [_label(differ, each) for each in facts]
     fewer = [_label([k for k in differ if not k.startswith("sweep_")], each) for each in facts]
     labels = fewer if len(set(fewer)) == len(set(labels)) else labels
@@ -64,6 +64,20 @@ def labels_of(results, names):
             label = f"file {name}"
         told.append(label)
     return told
+
+
+def differences(results):
+    """Return of each result {key: value} of the options in which they differ, numbers as such."""
+    from pgran.store.text import value_of
+
+    facts = [options_in(str(getattr(result, "options", ""))) for result in results]
+    return [{k: value_of(each[k]) for k in _differing(facts) if k in each} for each in facts]
+
+
+def _differing(facts):
+    """Return the keys that some of several dicts lack, or have with another value."""
+    keys = dict.fromkeys(key for each in facts for key in each)
+    return [key for key in keys if len({each.get(key) for each in facts}) > 1]
 
 
 def facts_of(options):
@@ -94,9 +108,10 @@ def _plain(text):
 
 def _label(keys, facts):
     """Return options in words: by their own, or their keys without the groups they belong to."""
-    words = [
-        WORDS.get(key, f"{key.partition('_')[2] or key} {{}}".replace("_", " ")).format(facts[key])
-        for key in keys
-        if key in facts
-    ]
-    return ", ".join(words) or "by default"
+    return ", ".join(told(key, facts[key]) for key in keys if key in facts) or "by default"
+
+
+def told(key, value):
+    """Return an option in words, "beta = 0.003"; of an empty value what it is called."""
+    words = WORDS.get(key, f"{key.partition('_')[2] or key} {{}}".replace("_", " "))
+    return words.format(value).strip(" =")

@@ -5,6 +5,7 @@ PETSc starts, so that what is wrong is an error that names the key and the line.
 """
 
 import contextlib
+import itertools
 import math
 import operator
 import os
@@ -217,7 +218,6 @@ def check_ends(name, values):
 
 # What gives options: files, command lines, and PETSC_OPTIONS
 
-ENVIRONMENT = " (PETSC_OPTIONS)"
 LONGEST_FILE = 2**20  # bytes of an options file
 # Control characters and surrogates, which stand for bytes that are no UTF-8.
 NO_TEXT = re.compile(r"[^\t\n\r -~\u00a0-\ud7ff\ue000-\U0010ffff]")
@@ -227,19 +227,31 @@ UNQUOTED, QUOTES = re.compile(r"[^ \t]+"), re.compile(r"['\"\\]")
 
 @dataclass(frozen=True)
 class Given:
-    """One key as the user gave it, and where."""
+    """One key as the user gave it, where, and its rank, by which the command line wins.
+
+    Over later files, these over earlier ones, and all over the environment, of rank 0.
+    """
 
     key: str
     text: str
     where: str
-
-    @property
-    def rank(self):
-        """What wins: the command line over the file over the environment."""
-        return {"": 2, ENVIRONMENT: 0}.get(self.where, 1)
+    rank: float
 
 
-def read_file(path):
+def files_first(words):
+    """Return the options files that words begin with, and the others; the first has any name."""
+    files = [*words[:1], *itertools.takewhile(lambda word: word.endswith(".opts"), words[1:])]
+    for path in files:
+        check_word(path)
+    return files, words[len(files) :]
+
+
+def read_files(paths):
+    """Return what options files give, in order: later ones win."""
+    return [item for rank, path in enumerate(paths, 1) for item in read_file(path, rank)]
+
+
+def read_file(path, rank=1):
     """Return what an options file gives, in order; an error names what is no `-key value`."""
     with open_regular(path, ".opts") as stream:
         content = stream.read(LONGEST_FILE + 1)
@@ -263,17 +275,17 @@ def read_file(path):
         except ValueError as error:
             hint = next((hint for word in line.split() if (hint := _word_meant(word))), error)
             raise InputError(f"{line.strip()}{where}: {hint}") from None
-        items += read_words(words, where)
+        items += read_words(words, where, rank)
     return items
 
 
-def read_words(words, where=""):
+def read_words(words, where="", rank=math.inf):
     """Return what a command line gives: `-key value`, or `-key` alone."""
     items = []
     for word in words:
         check_word(word, where)
         if KEY.fullmatch(word):
-            items.append(Given(word.lstrip("-"), "", where))
+            items.append(Given(word.lstrip("-"), "", where, rank))
         elif re.match("--?[A-Za-z]", word):
             key, sign, value = word.partition("=")
             hint = f"write {key} {value}" if sign else "no key has such a name"
@@ -281,7 +293,7 @@ def read_words(words, where=""):
                 hint = "leave out the quotes around a key and its value"
             raise InputError(f"{word}{where}: {hint}")
         elif items and not items[-1].text:
-            items[-1] = Given(items[-1].key, word, where)
+            items[-1] = Given(items[-1].key, word, where, rank)
         else:
             hint = _word_meant(word, items) or "a value without a key (keys look like -key)"
             raise InputError(f"{word}{where}: {hint}")
@@ -299,7 +311,7 @@ def read_environment():
     """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked."""
     if os.environ.pop("PETSC_OPTIONS_YAML", ""):
         raise InputError("PETSC_OPTIONS_YAML: not read; an options file or PETSC_OPTIONS is")
-    return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), ENVIRONMENT)
+    return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), " (PETSC_OPTIONS)", 0)
 
 
 # What was meant by what is wrong
@@ -329,7 +341,7 @@ def _word_meant(word, items=()):
     if word.startswith(COMMENTS):
         return "a comment begins with #"
     if word.endswith(".opts"):
-        return "a second options file; a run takes one"
+        return "options files come first, before all keys"
     if word.startswith(DASHES):
         return "begins with a long dash; keys begin with -"
     if re.fullmatch("[a-z]+(_[a-z]+)+|scene|detectors", word.lower()):

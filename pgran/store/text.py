@@ -14,6 +14,7 @@ LONGEST_FILE = 2**26  # bytes
 SEPARATORS = str.maketrans(",;", "  ")
 MEASURED = ("omega", "amplitude", "phase")  # omega: what a header may call frequency, too
 COLUMN_AXES = "detector_number", "axis"  # along these a table has columns, not rows
+MEDIA = "lattice", "network"  # groups that are of no scene
 SPACE_AXES = "balls", "bonds_"  # what arrays along these hold is a picture, no table
 
 
@@ -24,6 +25,11 @@ def is_number(word):
     except ValueError:
         return False
     return True
+
+
+def value_of(word):
+    """Return the number that a word is, or else the word."""
+    return int(word) if word.isdigit() else float(word) if is_number(word) else word
 
 
 class Lines:
@@ -151,7 +157,7 @@ def tables(result):
     first, "", of the scene's own record if it has one. A FileError says if there is none.
     """
     scene = str(result.scene)
-    groups = [group for group in result.records if group not in ("lattice", "network")]
+    groups = [group for group in result.records if group not in MEDIA]
     named = {}
     for group in sorted(groups, key=lambda group: group != scene):  # the scene's own first
         for number, (axes, columns) in enumerate(_tables_of(result.records[group]).items()):
@@ -193,6 +199,24 @@ def _tables_of(record):
             found[rows] |= dict(zip(labels, columns, strict=True))
     filled = {rows: columns for rows, columns in found.items() if len(columns[rows[0]])}
     return dict(sorted(filled.items(), key=lambda table: len(table[0])))
+
+
+def numbers_of(record):
+    """Return the single numbers of a record by their names, one of each detector.
+
+    These are its plain values but texts, short arrays, and what its tables of one row hold.
+    """
+    found = {}
+    for item, value in record.filled():
+        if "along" in item.metadata:
+            labels = _labels(record, item.name, item.metadata["along"], value.shape)
+            found |= dict(zip(labels, value.tolist(), strict=True))
+        elif isinstance(value, int | float):
+            found[item.name] = value
+    for columns in _tables_of(record).values() if record.group not in MEDIA else ():
+        rows = {name: column.tolist() for name, column in columns.items()}
+        found |= {name: row[0] for name, row in rows.items() if len(row) == 1}
+    return found
 
 
 def _labels(record, name, axes, shape):

@@ -161,10 +161,8 @@ def bin_edges(x, count=None):
     return np.append(ends[0][:-1], ends[1])
 
 
-def over(results, labels):
+def over(results, looks):
     """Yield participation ratios, and densities if each result has many modes."""
-    from pgran.draw import together
-
     if not all(hasattr(result, "modes") for result in results):
         raise FileError("of the scene modes normal modes alone are laid over each other")
     media = [result.medium for result in results]
@@ -172,21 +170,21 @@ def over(results, labels):
     x = [modes.omega / medium.omega_mx for modes, medium in zip(moving, media, strict=True)]
     for each in x:
         style.check_any(each, "modes that move")
-    several = list(zip(moving, media, labels, strict=True))
+    several = list(zip(moving, media, looks, strict=True))
 
     def points(ax):
-        look = {"markersize": 3, "markeredgewidth": 0.5, "fillstyle": "none"}
-        for number, (modes, medium, label) in enumerate(several):
-            look |= {"marker": together.MARKS[number], "color": style.COLOURS[number]}
-            participation(ax, modes, medium, label=label, **look)
+        size = {"markersize": 3, "markeredgewidth": 0.5, "fillstyle": "none"}
+        for modes, medium, look in several:
+            drawn = {"label": look.label, "marker": look.mark, "color": look.colour}
+            participation(ax, modes, medium, **drawn, **size)
         if len({medium.free_balls for medium in media}) > 1:
             ax.child_axes[0].remove()
 
     def outlines(ax):
         edges = bin_edges(np.concatenate(x), max(map(len, x)))
-        for number, (modes, medium, label) in enumerate(several):
-            look = {"edgecolor": style.COLOURS[number], "linestyle": together.LINES[number]}
-            density(ax, modes, medium, edges, label=label, **look)
+        for modes, medium, look in several:
+            drawn = {"label": look.label, "edgecolor": look.colour, "linestyle": look.line}
+            density(ax, modes, medium, edges, **drawn)
 
     made = {participation: points}
     if min(map(len, x)) >= MODES_OF_A_DENSITY:

@@ -198,19 +198,21 @@ def ratio(signals, number):
     return omega, size, loud & (moved > bound)
 
 
-def over(results, labels):
+def over(results, looks):
     """Yield the signals of the first detector; not those that are below their error."""
-    from pgran.draw import together
 
     def signals(ax):
         """Displacement of a ball against time."""
         last = 0.0
-        for number, (result, label) in enumerate(zip(results, labels, strict=True)):
+        for result, look in zip(results, looks, strict=True):
             shown, time = result.pulse, result.pulse.time * result.medium.omega_mx
-            moved, error = shown.displacement[:, 0], shown.error[:, 0]
+            moved, error, label = shown.displacement[:, 0], shown.error[:, 0], look.label
             if not np.abs(moved).max() > error.max():
-                label, moved = f"{label}: below its error", np.full_like(moved, np.nan)
-            ax.plot(time, moved, label=label, **together.curve_look(number))
+                label, moved = (
+                    f"{label}: below its error".lstrip("_: "),
+                    np.full_like(moved, np.nan),
+                )
+            ax.plot(time, moved, label=label, **look.curve)
             last = max(last, time[-1])
         first = {style.ball_names(result.pulse.detector[:1])[0] for result in results}
         ax.set_title(first.pop() if len(first) == 1 else "first detectors")

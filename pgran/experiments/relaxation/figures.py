@@ -118,10 +118,8 @@ def memory(ax, memory):
     return law, ax.errorbar(*values, label=label, **look)
 
 
-def over(results, labels):
+def over(results, looks):
     """Yield the power spectra, each with the law fitted to it (paper: timeres)."""
-    from pgran.draw import together
-
     if any(getattr(result, "spectrum", None) is None for result in results):
         raise FileError("a result has no spectrum to lay over others: its run was too short")
     steps = [result.relaxation.step for result in results]
@@ -130,9 +128,8 @@ def over(results, labels):
 
     def spectra(ax):
         """Power spectra of the amplitude, and the laws fitted to them."""
-        for number, (result, label) in enumerate(zip(results, labels, strict=True)):
-            words = f"{label}:\n{exponent(result.spectrum)}"
-            look = style.COLOURS[number], None, together.LINES[number], steps[number]
-            power(ax, result.spectrum, words, *look)
+        for result, look, step in zip(results, looks, steps, strict=True):
+            told = f":\n{exponent(result.spectrum)}" if len(results) <= len(style.COLOURS) else ""
+            power(ax, result.spectrum, look.label + told, look.colour, None, look.line, step)
 
     yield "spectrum", style.single(spectra)

@@ -216,17 +216,18 @@ def _curves(ax, response, lattice, modes, values, good, labels=(None,), limit=No
     return drawn
 
 
-def over(results, labels):
+def over(results, looks):
     """Yield amplitudes and phases: line styles tell results apart, colours several detectors."""
-    from pgran.draw import together
-
     shown, alone = [], all(len(result.response.detector) == 1 for result in results)
-    for number, (result, label) in enumerate(zip(results, labels, strict=True)):
-        balls, look = style.ball_names(result.response.detector), together.curve_look(number)
+    many = len(results) > len(style.COLOURS)  # whose colours are a scale
+    if many and not alone:
+        raise FileError(f"{len(results)} results: so many are drawn of one detector each")
+    for result, look in zip(results, looks, strict=True):
+        balls, line = style.ball_names(result.response.detector), look.curve
         if not alone:
-            del look["color"]
-        names = [label] if alone else [f"{label}, {ball}" for ball in balls]
-        shown.append((result.response, result.medium, names, look))
+            del line["color"]
+        names = [look.label] if alone else [f"{look.label}, {ball}" for ball in balls]
+        shown.append((result.response, result.medium, names, line))
 
     def phases(ax):
         for response, lattice, names, look in shown:
@@ -234,7 +235,7 @@ def over(results, labels):
 
     yield "amplitude", amplitude_page(shown)
     figure = style.single(phases, style.caption_of(phase))
-    for response, lattice, names, _ in shown:
+    for response, lattice, names, _ in shown[: 0 if many else None]:
         figure.caption += _fits(response, lattice, names)
     yield "phase", figure
 

@@ -1,0 +1,60 @@
+"""Studies and tables: a run for each value of an option, and their numbers beside each other."""
+
+import sys
+
+import numpy as np
+import pytest
+
+import pgran
+from pgran.errors import PgranError
+
+WORDS = "a.opts", "b.opts", "-sweep_omega", ".4", "-lattice_damping"
+VALUES = ".01", ".1", "1e-3"
+
+
+def test_a_study_is_its_single_runs(start, place, shared_path, call, monkeypatch):
+    """By parts or as a whole; one that fails stops no other, what is done is left as it is."""
+    place("b.opts", "-sweep_method points")
+    paths = [f"results/a-damping_{value}.h5" for value in VALUES]
+    done = start("study", *WORDS, *VALUES, SLURM_ARRAY_TASK_ID="2")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert done.stderr.startswith(f"pgran: part 2 of 3, {paths[1]}\npgran: response of a 6 x 5")
+    (shared_path / f"{paths[2]}.unfinished").mkdir()
+    done = start("study", *WORDS, *VALUES, PGRAN_LAUNCH="mpirun -n 2")
+    assert done.returncode == 4
+    assert f"part 2 of 3, {paths[1]}: is there already\n" in done.stderr
+    assert f"part 3 of 3, {paths[2]}: failed, with exit code 4\n" in done.stderr
+    (shared_path / f"{paths[2]}.unfinished").rmdir()
+    for variables, words, said in (
+        ({"ranks": 2}, [], "study: starts ranks itself"),
+        ({"SLURM_ARRAY_TASK_ID": "4"}, [], "the parts are 1 to 3"),
+        (
+            {},
+            ["-error_floor", "0"],
+            "was made with -error_floor 1e-20, and now it is -error_floor 0.0;",
+        ),
+        ({}, [], f"part 1 of 3, {paths[0]}: is there already"),
+    ):
+        done = start("study", *WORDS, *VALUES, *words, **variables)
+        assert said in done.stderr
+    assert done.returncode == 0
+    call("run", *WORDS, ".1", "-output_file", "alone.h5")
+    *found, alone = [pgran.load(path) for path in [*paths, "alone.h5"]]
+    assert [result.mpi_size for result in found] == [2, 1, 1]
+    assert np.array_equal(found[1].response.displacement, alone.response.displacement)
+
+    table = pgran.table([found[0], *paths[1:]])
+    assert table.index.tolist() == ["1", *paths[1:]]
+    assert table.lattice_damping.tolist() == [0.01, 0.1, 0.001]
+    assert table.amplitude_2_3.tolist() == [each.response.amplitude[0, 0] for each in found]
+    assert np.isnan(table.phase_velocity_2_3).all()
+    assert "amplitude_2_3" in done.stdout
+    assert "omega" not in done.stdout  # which is the same in all
+    call("table", *paths, "--columns", "amplitude,seconds", "-o", "t.csv")
+    head, *rows = (shared_path / "t.csv").read_text().splitlines()
+    assert head == "result,lattice_damping,amplitude_2_3,failures,seconds"
+    assert [float(row.split(",")[2]) for row in rows] == table.amplitude_2_3.tolist()
+    assert "did you mean seconds?" in call("table", *paths, "--columns", "secnds").stderr
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(PgranError, match=r"a table needs pandas .*: pip install pandas"):
+        pgran.table(paths)
