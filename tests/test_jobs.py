@@ -27,11 +27,10 @@ SCRIPTS = {
     "stability.sh": ("continuum_resonance", ""),
     "faults.sh": ("0", ""),  # what it starts the tests of campaigns try out
     "slurm/pgran.sbatch": ("options/response.opts", "results/response.h5"),
-    "slurm/study.sbatch": ("options/response.opts -bonds_seed 1 2", "results/response-seed_2.h5"),
 }
 # Started by tests below or elsewhere, or by .ci/run; and what is part of a script.
 ELSEWHERE = {"benchmark.sh", "geometry.py", "paper.sh", "quickstart.sh", "setup.sh", "test.sh"}
-ELSEWHERE |= {"waves.py"}
+ELSEWHERE |= {"waves.py", "slurm/study.sbatch"}
 PARTS = {"benchmark.py", "peers.py", "tables.py"}
 PARTS |= {f"paper_{part}.py" for part in ("beads", "measures", "modes", "rows", "sweeps", "table")}
 PARTS |= {"paper.py"}

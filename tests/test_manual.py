@@ -130,10 +130,7 @@ def read_command(line):
     if words[0] != "pgran":
         assert (ROOT / words[0]).is_file(), line
         if words[0].endswith(".sbatch"):
-            given = read_words(
-                words[2 : 4 if "study" in words[0] else None]
-            )  # of a study one value
-            resolve(read_file(ROOT / words[1]) + given)
+            resolve(read_file(ROOT / words[1]) + read_words(words[2:4]))  # of a study one value
     elif words[1] == "run":
         files, rest = files_first(words[2:])
         resolve(read_files([ROOT / file for file in files]) + read_words(rest))

@@ -62,14 +62,14 @@ def test_file_syntax(written):
 
 
 def test_later_files_win_as_the_command_line_does(written):
-    first = written("-scene response\n-lattice_damping 1\n-bonds_seed 9\n-sweep_points 7\n")
+    first = written("-scene response\n-lattice_damping 1\n-sweep_points 7\n")
     other = written("-network_file a.h5\n-sweep_points 8\n-steady_pc_type python", "b.opts")
-    words = read_words(["-steady_pc_type", "lu", "-sweep_max", "2"])
-    found = resolve([*read_files([first, other]), *words])
+    given = read_files([first, other])
+    found = resolve([*given, *read_words(["-steady_pc_type", "lu"])])
     assert (found.network_file, found.lattice_damping, found.sweep_points) == (("a.h5",), None, 8)
     assert found.solver == {"steady_pc_type": "lu"}
     with pytest.raises(InputError, match=r"b\.opts, line 3.*not on the list"):
-        resolve(read_files([first, other]))
+        resolve(given)
 
 
 def test_files_that_cannot_be_read(tmp_path):

@@ -25,17 +25,15 @@ def test_a_study_is_its_single_runs(start, place, shared_path, call, monkeypatch
     assert f"part 2 of 3, {paths[1]}: is there already\n" in done.stderr
     assert f"part 3 of 3, {paths[2]}: failed, with exit code 4\n" in done.stderr
     (shared_path / f"{paths[2]}.unfinished").rmdir()
-    for variables, words, said in (
-        ({"ranks": 2}, [], "study: starts ranks itself"),
-        ({"SLURM_ARRAY_TASK_ID": "4"}, [], "the parts are 1 to 3"),
-        (
-            {},
-            ["-error_floor", "0"],
-            "was made with -error_floor 1e-20, and now it is -error_floor 0.0;",
-        ),
-        ({}, [], f"part 1 of 3, {paths[0]}: is there already"),
+    for words, variables, said in (
+        ("", {"ranks": 2}, "study: starts ranks itself"),
+        ("x", {}, "-lattice_damping x: needs a number"),
+        ("-bonds_seed 1 2", {}, "has several values; here: -lattice_damping, -bonds_seed"),
+        ("", {"SLURM_ARRAY_TASK_ID": "4"}, "the parts are 1 to 3"),
+        ("-error_floor 0", {}, "was made with -error_floor 1e-20, and now it is -error_floor 0.0"),
+        ("", {}, f"part 1 of 3, {paths[0]}: is there already"),
     ):
-        done = start("study", *WORDS, *VALUES, *words, **variables)
+        done = start("study", *WORDS, *VALUES, *words.split(), **variables)
         assert said in done.stderr
     assert done.returncode == 0
     call("run", *WORDS, ".1", "-output_file", "alone.h5")
@@ -55,6 +53,7 @@ def test_a_study_is_its_single_runs(start, place, shared_path, call, monkeypatch
     assert head == "result,lattice_damping,amplitude_2_3,failures,seconds"
     assert [float(row.split(",")[2]) for row in rows] == table.amplitude_2_3.tolist()
     assert "did you mean seconds?" in call("table", *paths, "--columns", "secnds").stderr
+    assert "the name of a table ends in .csv" in call("table", *paths, "-o", "a.h5").stderr
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(PgranError, match=r"a table needs pandas .*: pip install pandas"):
         pgran.table(paths)

@@ -118,7 +118,9 @@ def _code_of_result(path, options):
         return errors.INACCURATE if result.status == "unconverged" else errors.DONE
     if options.output_overwrite:
         return None
-    before, after = (", ".join(sorted(lines)) or "nothing" for lines in (was - now, now - was))
+    before, after = (
+        ", ".join(sorted(lines)) or "other options" for lines in (was - now, now - was)
+    )
     why = f"was made with {before}, and now it is {after}"
     raise FileError(f"{path}: {why}; -output_overwrite replaces it, -output_file takes another")
 
