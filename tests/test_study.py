@@ -1,12 +1,18 @@
 """Studies and tables: a run for each value of an option, and their numbers beside each other."""
 
+import os
 import sys
 
 import numpy as np
 import pytest
 
 import pgran
-from pgran.errors import PgranError
+from pgran import errors
+from pgran.command import study
+from pgran.command.resolve import resolve
+from pgran.errors import FileError, PgranError
+from pgran.run.options import read_words
+from pgran.store import file as store
 
 WORDS = "a.opts", "b.opts", "-sweep_omega", ".4", "-lattice_damping"
 VALUES = ".01", ".1", "1e-3"
@@ -57,3 +63,15 @@ def test_a_study_is_its_single_runs(start, place, shared_path, call, monkeypatch
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(PgranError, match=r"a table needs pandas .*: pip install pandas"):
         pgran.table(paths)
+
+
+def test_what_was_made_of_a_file_that_has_changed_since_is_refused(tmp_path):
+    network, result = tmp_path / "a.h5", tmp_path / "b.h5"
+    options = resolve(read_words(["-scene", "response", "-network_file", str(network)]))
+    network.touch()
+    store.write(result, {"scene": "response", "status": "complete", "options": options.text()}, [])
+    assert study._code_of_result(result, options) == errors.DONE
+    os.utime(network, (0, result.stat().st_mtime + 1))
+    with pytest.raises(FileError, match=f"made with an older {network}, and now it is a newer"):
+        study._code_of_result(result, options)
+    assert study._code_of_result(result, options.changed(output_overwrite=True)) is None

@@ -24,15 +24,6 @@ from pgran.run.options import KEY, RUN, files_first, read_environment, read_file
 log = logging.getLogger("pgran")
 
 EXAMPLE = "pgran study options/damping.opts -lattice_damping .001 .003 .01"
-MORE = """\
-Other keys, and exit codes, of the first run that failed, are those of pgran run.
-A result is named after its value: results/damping-damping_.001.h5, where damping
-is the name of the options file or of -output_file.
-
-environment:
-  PGRAN_LAUNCH='mpirun -n 2'  what starts the ranks of each run
-  SLURM_ARRAY_TASK_ID=K       in a job array: the K-th value alone, from 1
-"""
 HOW = tuple(f"-{option.name}" for option in RUN)  # what decides no number
 COMPUTED = errors.DONE, errors.INACCURATE
 
@@ -42,10 +33,14 @@ def run(words):
 
     The key with several words after it is the one that is studied; a value that is a list is one
     word, with commas. The same command leaves out what is done, and goes on where it was stopped.
+    Results are named after their values, NAME-damping_.001.h5; other keys, and the exit code, which
+    is that of the first run that failed, are as of pgran run. In the environment
+    PGRAN_LAUNCH='mpirun -n 2' starts the ranks of each run, and SLURM_ARRAY_TASK_ID=K, of a job
+    array, chooses the K-th value alone, counted from 1.
     """
     if {"-h", "--help", "-help"} & set(words):
         usage = "pgran study FILE [MORE.opts ...] -key A B ... [-other value ...]"
-        Parser("study", run.__doc__, EXAMPLE, more=MORE, usage=usage, add_help=False).print_help()
+        Parser("study", run.__doc__, EXAMPLE, usage=usage, add_help=False).print_help()
         return errors.DONE
     if any(name in os.environ for name in launch.SIZES):
         raise InputError("study: starts ranks itself: PGRAN_LAUNCH='mpirun -n 2' pgran study ...")
@@ -67,7 +62,7 @@ def run(words):
             return code
         if code not in COMPUTED:
             log.warning("%s: failed, with exit code %d", told, code)
-    there = [path for path in codes if os.path.exists(path)]
+    there = [path for path in codes if codes[path] in COMPUTED and os.path.exists(path)]
     if there and part is None:
         from pgran.command.table import in_words, table
 

@@ -64,8 +64,8 @@ def table(results: list) -> "pandas.DataFrame":
             own = f"{group}_" * (group != result.scene)
             row |= {own + name: value for name, value in numbers_of(record).items()}
             failures += int(numpy.sum(record.failures))
-        row |= {"failures": failures}
-        row |= {name: getattr(result, name, None) for name in ("status", "seconds", "mpi_size")}
+        told = {name: getattr(result, name, None) for name in ("status", "seconds", "mpi_size")}
+        row |= {"failures": failures} | told
     names = [r if isinstance(r, (str, os.PathLike)) else n for n, r in enumerate(results, 1)]
     frame = pandas.DataFrame(rows, index=pandas.Index(map(str, names), name="result"))
     frame.attrs["options"] = options

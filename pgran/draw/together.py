@@ -14,7 +14,7 @@ from matplotlib.mathtext import MathTextParser
 from pgran import catalogue
 from pgran.draw import captions, style
 from pgran.errors import FileError
-from pgran.medium.labels import MOST, differences, told
+from pgran.medium.labels import MOST, differences, label_of
 
 LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (4, 1, 1, 1)), (0, (1.5, 2)), (0, (3, 1, 1, 1, 1, 1)))
 MARKS = (".", "+", "x", "^", "s", "d")
@@ -77,7 +77,7 @@ def _by_colour(results):
     low, high = min(values), max(values)
     norm = LogNorm(low, high) if 0 < 10 * low <= high else Normalize(low, high)
     scale = ScalarMappable(norm, ListedColormap(style.colours(256)))
-    scale.label = captions.formulas(f"{told(key, '')} ").strip(" =")
+    scale.label = captions.formulas(f"{label_of([key], {key: ''})} ").strip(" =")
     return [Look("_", scale.to_rgba(value)) for value in values], scale
 
 

@@ -53,8 +53,8 @@ def labels_of(results, names):
     """
     facts = [facts_of(getattr(result, "options", "")) for result in results]
     differ = _differing(facts)
-    labels = [_label(differ, each) for each in facts]
-    fewer = [_label([k for k in differ if not k.startswith("sweep_")], each) for each in facts]
+    labels = [label_of(differ, each) for each in facts]
+    fewer = [label_of([k for k in differ if not k.startswith("sweep_")], each) for each in facts]
     labels = fewer if len(set(fewer)) == len(set(labels)) else labels
     told = []
     for label, name in zip(labels, names, strict=True):
@@ -106,12 +106,11 @@ def _plain(text):
         return text
 
 
-def _label(keys, facts):
+def label_of(keys, facts):
     """Return options in words: by their own, or their keys without the groups they belong to."""
-    return ", ".join(told(key, facts[key]) for key in keys if key in facts) or "by default"
-
-
-def told(key, value):
-    """Return an option in words, "beta = 0.003"; of an empty value what it is called."""
-    words = WORDS.get(key, f"{key.partition('_')[2] or key} {{}}".replace("_", " "))
-    return words.format(value).strip(" =")
+    words = [
+        WORDS.get(key, f"{key.partition('_')[2] or key} {{}}".replace("_", " ")).format(facts[key])
+        for key in keys
+        if key in facts
+    ]
+    return ", ".join(words) or "by default"

@@ -29,7 +29,7 @@ def is_number(word):
 
 def value_of(word):
     """Return the number that a word is, or else the word."""
-    return int(word) if word.isdigit() else float(word) if is_number(word) else word
+    return int(word) if word.isdecimal() else float(word) if is_number(word) else word
 
 
 class Lines:

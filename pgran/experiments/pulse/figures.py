@@ -208,10 +208,8 @@ def over(results, looks):
             shown, time = result.pulse, result.pulse.time * result.medium.omega_mx
             moved, error, label = shown.displacement[:, 0], shown.error[:, 0], look.label
             if not np.abs(moved).max() > error.max():
-                label, moved = (
-                    f"{label}: below its error".lstrip("_: "),
-                    np.full_like(moved, np.nan),
-                )
+                label = f"{label}: below its error".lstrip("_: ")  # which may have no label
+                moved = np.full_like(moved, np.nan)
             ax.plot(time, moved, label=label, **look.curve)
             last = max(last, time[-1])
         first = {style.ball_names(result.pulse.detector[:1])[0] for result in results}
