@@ -28,7 +28,7 @@ from pgran.draw import pages as figures
 from pgran.draw import style, together
 from pgran.errors import FileError, InputError
 from pgran.experiments.relaxation.fluctuations import power_spectrum
-from pgran.medium.labels import labels_of
+from pgran.medium.differences import labels_of
 from pgran.run.options import options_in, read_words
 
 BETAS = (0.001, 0.003, 0.01)

@@ -148,7 +148,7 @@ def _make(results, names, units, measured, width, labels=None, **over):
         raise InputError("-plot_unit, -plot_scale: are about -plot_with, which is missing")
     data = None if measured is None else _measured(results, units, measured, unit, scale)
     if several:
-        from pgran.medium.labels import MOST, labels_of
+        from pgran.medium.differences import MOST, labels_of
 
         if labels and len(labels) > MOST:
             raise InputError(f"-label: more than {MOST} results are told apart by their colours")

@@ -11,7 +11,7 @@ from pgran.arguments import called_right, meant, nearest
 from pgran.command.export import blaming_edits, result_of
 from pgran.command.words import Parser
 from pgran.errors import DONE, InputError, PgranError
-from pgran.medium.labels import differences
+from pgran.medium.differences import differences
 from pgran.store.paths import whole
 from pgran.store.text import numbers_of
 

@@ -14,7 +14,7 @@ from matplotlib.mathtext import MathTextParser
 from pgran import catalogue
 from pgran.draw import captions, style
 from pgran.errors import FileError
-from pgran.medium.labels import MOST, differences, label_of
+from pgran.medium.differences import MOST, differences, label_of
 
 LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (4, 1, 1, 1)), (0, (1.5, 2)), (0, (3, 1, 1, 1, 1, 1)))
 MARKS = (".", "+", "x", "^", "s", "d")

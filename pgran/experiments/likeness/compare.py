@@ -23,7 +23,7 @@ import numpy as np
 from pgran.arguments import called_right
 from pgran.errors import FileError, InputError
 from pgran.experiments.likeness.record import Likeness
-from pgran.medium.labels import labels_of
+from pgran.medium.differences import labels_of
 from pgran.medium.network_file import load
 from pgran.run.numbers import number, windows_of
 from pgran.store.estimate import Estimate, counted, with_errors
