@@ -117,17 +117,6 @@ def test_solver_options(world, caplog):
     assert np.array_equal(again.displacement, default.displacement)
 
 
-@pytest.mark.parametrize("method", ["points", "curve"])
-def test_keys_of_the_ksp_act_or_are_said(world, method, caplog):
-    """Where one application of a fresh factorization would do the KSP solves; curves have none."""
-    keys = {"steady_ksp_type": "gmres", "steady_ksp_converged_reason": True}
-    caplog.clear()
-    pgran.sweep(LATTICE, np.linspace(0.1, 1.0, 40), [3, 2], method=method, solver=keys)
-    said = [key for key in keys if f"-{key} was not used: factorizations alone" in caplog.text]
-    assert said == (list(keys) if method == "curve" and world.rank == 0 else [])
-    assert "no solver of this run" not in caplog.text
-
-
 def by_rank(world, mine, others):
     """What the last rank hands in, and all others."""
     return mine if world.rank == world.size - 1 else others

@@ -171,7 +171,9 @@ def _compute(scene, options, words, world, started):
             return Crew(world, ranks, journal, begins)
 
         records = run_scene(scene, options, world, crew)
-        failures = on_root(world, lambda: _write(scene, options, words, world, records, started))
+        solvers = sys.modules["pgran.run.petsc"].work_done(world) if scene.on_medium else []
+        facts = scene, options, words, world, records, solvers, started
+        failures = on_root(world, lambda: _write(*facts))
         return errors.INACCURATE if failures else errors.DONE
 
 
@@ -187,7 +189,7 @@ def _check_room(options, medium, ranks, world):
         machine.check_memory(key, lattice_memory(medium, ranks, factored) / 3)
 
 
-def _write(scene, options, words, world, records, started):
+def _write(scene, options, words, world, records, solvers, started):
     """Write the result of a run, say what it is, and return how many numbers failed, on rank 0."""
     import numpy
 
@@ -198,13 +200,14 @@ def _write(scene, options, words, world, records, started):
     failures = sum(int(numpy.sum(record.failures)) for record in records)
     seconds = time.perf_counter() - started
     attributes = _run_attributes(options, words, world, failures, seconds)
+    attributes |= {"solvers": "\n".join(solvers)} if solvers else {}
     output = options.output_file
     store.write(output, attributes, records, options.output_overwrite)
     if failures:
         log.warning("results that miss the accuracy asked for, and are marked: %d", failures)
     try:
         _warn_of_unused(options)
-        lines = scene.summary(Result(records, **attributes))
+        lines = [*scene.summary(Result(records, **attributes)), *solvers]
         for line in sorted(lines, key=lambda line: not isinstance(line, Caution)):
             level = logging.WARNING if isinstance(line, Caution) else logging.INFO
             log.log(level, "%s", line)

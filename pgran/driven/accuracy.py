@@ -44,7 +44,8 @@ from pgran.driven.linear import FACTORIZATIONS, LEAST_NORM
 from pgran.driven.operators import Owner
 from pgran.medium.base import EPSILON, SMALLEST_NORMAL
 from pgran.medium.law import unit_numbers
-from pgran.run.petsc import PETSc
+from pgran.run.petsc import PETSc, logged
+from pgran.store.record import ball_names
 
 log = logging.getLogger("pgran")
 
@@ -121,6 +122,7 @@ class Accuracy(Owner):
 
     # How near to singular S is.
 
+    @logged("bounds")
     def prepare(self, s):
         """Bound the norms of S(s), which must be combined, and of its inverse. Collective."""
         operators, size = self.operators, abs(s)
@@ -167,6 +169,7 @@ class Accuracy(Owner):
             delta *= 0.1
         return 0.0
 
+    @logged("bounds")
     def sharpen(self, krylov, needed):
         """Bound |S^-1| by a count of S itself, where no rank shares it; say if that helps.
 
@@ -249,6 +252,7 @@ class Accuracy(Owner):
 
     # What residuals tell.
 
+    @logged("bounds")
     def assess(self, s, systems, krylov):
         """Return the state reached, its bounds, and whether they meet the tolerance. Collective.
 
@@ -413,6 +417,7 @@ class Detectors:
 
     def __init__(self, operators, sites):
         self._comm, self._like = operators.comm, operators.f_stiffness
+        self.names = [f"adjoint of {ball}" for ball in ball_names(sites)]
         numbers, self._weights = operators.layout.readings(sites)
         self._mine = (operators.first <= numbers) & (numbers < operators.last)
         self._rows = numbers[self._mine] - operators.first  # of the entries that this rank has

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from pgran.driven.linear import accept_small_pivots
 from pgran.driven.operators import SAME, NetworkLayout, Owner
 from pgran.medium.springs import norm_of
-from pgran.run.petsc import PETSc
+from pgran.run.petsc import PETSc, logged
 
 SLOW_SECONDS = 0.05  # of a lattice's factorization, from which on SuperLU is faster
 TRIED_PARTS = (0.9, 0.5, 0.1, 0.01)  # of an estimate of the smallest eigenvalue that are tried
@@ -161,6 +161,7 @@ class ModeCounter(Owner):
         counts = {self._inertia(shift + side * clearance, 0.1 * clearance) for side in (-1, 1)}
         return counts.pop() if len(counts) == 1 else None
 
+    @logged("counts")
     def _inertia(self, shift, allowed):
         """Count the negative pivots of K - shift; None if factors miss it by more than allowed."""
         # Without pivoting, a tiny pivot spoils the factors. E = K - shift - L D L^T is estimated by

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from pgran.driven.operators import Owner
 from pgran.errors import is_bad_input
 from pgran.run.agreement import met_by_all
-from pgran.run.petsc import PETSc, solved
+from pgran.run.petsc import PETSc, logged, note
 
 FACTORIZATIONS, INCOMPLETE = ("lu", "cholesky"), ("ilu", "icc")
 # What a factorization costs in Krylov iterations, for each entry of the factor and ball; measured.
@@ -29,8 +29,8 @@ class System(Owner):
 
     owns = ("solution", "residual", "last", "before_last")
 
-    def __init__(self, rhs):
-        self.rhs = rhs
+    def __init__(self, rhs, name="amplitudes"):
+        self.rhs, self.name = rhs, name
         self.solution, self.residual, self.last, self.before_last = (
             rhs.duplicate() for _ in range(4)
         )
@@ -69,13 +69,14 @@ class System(Owner):
 class Krylov(Owner):
     """The KSP of S; its `iterations` since `begin`, its last `reason`, or 0. Collective."""
 
-    owns = ("ksp", "_block", "_image")
+    owns = ("ksp", "_correction", "_block", "_image")
 
-    def __init__(self, operators, correction):
-        self.operators, self._correction = operators, correction
+    def __init__(self, operators):
+        self.operators, self._correction = operators, operators.f.duplicate()
         self.ksp, self._block, self._image = make_ksp(operators, operators.S), None, None
         self._rtol, _, _, self._longest = self.ksp.getTolerances()
-        self._asked = any(key.startswith("steady_ksp_") for key in PETSc.Options().getAll())
+        self._asked = [k[11:] for k in PETSc.Options().getAll() if k.startswith("steady_ksp_")]
+        self._prints = any(key.startswith(("view", "monitor", "converged")) for key in self._asked)
         self.begin()
 
     @property
@@ -85,7 +86,7 @@ class Krylov(Owner):
 
     def begin(self, longest=None):
         """Count from zero; give up a solve after so many iterations, or as its options say."""
-        self.iterations, self.reason = 0, 0
+        self.iterations, self.reason, self._fresh = 0, 0, False
         self.ksp.setTolerances(max_it=longest or self._longest)
 
     def factor(self):
@@ -93,6 +94,7 @@ class Krylov(Owner):
         self.pc.setReusePreconditioner(False)
         works = set_up(self.ksp, self.operators.S, self.operators)
         self.pc.setReusePreconditioner(works)
+        self._fresh, self._at = self.pc.getType() in FACTORIZATIONS, point_name(self.operators.s)
         return works
 
     def start(self, systems):
@@ -102,9 +104,8 @@ class Krylov(Owner):
         """
         if self._asked and self.pc.getType() in FACTORIZATIONS:
             for system in systems:
-                self._solve(system.rhs, self._rtol)
+                self._solve(system.rhs, self._rtol, system.name)
                 self._correction.copy(system.solution)
-            self.iterations *= self.ksp.getType() != "preonly"  # whose one is to apply it
         elif len(systems) > 1 and self.pc.getFactorSolverType() == "mumps":
             self._apply_to_all(systems)
         else:
@@ -122,7 +123,7 @@ class Krylov(Owner):
         for column, system in zip(self._block.getDenseArray().T, systems, strict=True):
             column[:] = system.rhs.getArray(readonly=True)
         self._block.assemble()
-        self.invert(self._block, self._image)
+        self.pc.getFactorMatrix().matSolve(self._block, self._image)
         for column, system in zip(self._image.getDenseArray().T, systems, strict=True):
             system.solution.setArray(column)
 
@@ -132,7 +133,7 @@ class Krylov(Owner):
             return
         before, correction = system.norm, self._correction
         # Relative, because a KSP may measure preconditioned residuals, which have another unit.
-        self._solve(system.residual, max(self._rtol, target / before))
+        self._solve(system.residual, max(self._rtol, target / before), f"more {system.name}")
         self.reason = self.ksp.getConvergedReason()
         system.solution.axpy(1.0, correction)
         system.update_residual(self.operators.S)
@@ -145,28 +146,47 @@ class Krylov(Owner):
 
     def roughly_solved(self, rhs):
         """Return S^-1 rhs to two digits, or None; the next solve overwrites it. Collective."""
-        self._solve(rhs, 0.01)
+        self._solve(rhs, 0.01, "what rounding does")
         return self._correction if self.ksp.getConvergedReason() > 0 else None
 
-    def invert(self, block, image):
-        """Set a block's columns to S^-1 of another's: by factors, else one by one. Collective."""
-        if self.pc.getType() in FACTORIZATIONS:
+    @logged("states")
+    def invert(self, block, image, names=()):
+        """Set a block's columns to S^-1 of another's: by factors, or a KSP each. Collective."""
+        if self.pc.getType() in FACTORIZATIONS and not self._asked:
             self.pc.getFactorMatrix().matSolve(block, image)
             return
         rhs, columns = self._correction.duplicate(), block.getDenseArray(readonly=True).T
-        for column, solution in zip(columns, image.getDenseArray().T, strict=True):
+        names = names or [f"right-hand side {number}" for number in range(len(columns))]
+        for column, solution, name in zip(columns, image.getDenseArray().T, names, strict=True):
             rhs.setArray(column)
-            self._solve(rhs, self._rtol)
+            self._solve(rhs, self._rtol, name)
             solution[:] = self._correction.getArray(readonly=True)
         image.assemble()
         rhs.destroy()
 
-    def _solve(self, rhs, rtol):
-        """Solve for a right-hand side."""
+    def _solve(self, rhs, rtol, name):
+        """Solve for a right-hand side; say of which, and with what, above what the KSP prints."""
+        if self._prints:
+            made = ", fresh: one application solves" if self._fresh else f" of {self._at}"
+            here = f"rank {MPI.COMM_WORLD.rank}, {point_name(self.operators.s)}, {name}"
+            PETSc.Sys.Print(f"{here}: {solver_name(self.ksp)}{made}", comm=self.ksp.comm)
         self.ksp.setTolerances(rtol=rtol)
         self.ksp.solve(rhs, self._correction)
-        solved["steady_"] = True
-        self.iterations += self.ksp.getIterationNumber()
+        if self.ksp.getType() != "preonly":  # whose one iteration is to apply the preconditioner
+            self.iterations += self.ksp.getIterationNumber()
+            note(solver_name(self.ksp), self.ksp.comm, iteration=self.ksp.getIterationNumber())
+
+
+def point_name(s):
+    """Return an s = sigma + i omega in words."""
+    return f"s = {s:g}" if s.real else f"omega = {s.imag:g}"
+
+
+def solver_name(ksp):
+    """Return a KSP, whose preconditioner is set up, in words."""
+    pc, name = ksp.getPC(), f"-{ksp.getOptionsPrefix()}* KSP {ksp.getType()}"
+    package = f" ({pc.getFactorSolverType()})" if pc.getType() in FACTORIZATIONS else ""
+    return f"{name}, PC {pc.getType()}{package}"
 
 
 def is_factored():
@@ -185,7 +205,6 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
     Collective. The caller destroys it.
     """
     ksp = PETSc.KSP().create(operators.comm)
-    solved.setdefault(prefix, kind == "preonly")
     ksp.setOptionsPrefix(prefix)
     ksp.setOperators(matrix)
     ksp.setType(kind)
@@ -212,12 +231,13 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
         factor.setMumpsIcntl(ANALYSIS_BY_VALUES, 0)
         if pc.comm.size == 1:
             factor.setMumpsIcntl(SCALING, BY_DIAGONAL)
-    if ksp.getType() != "preonly":
-        # The preconditioner applied once is the solution already if it is a fresh factorization.
-        ksp.setInitialGuessKnoll(True)
+    # The preconditioner applied once is the solution already if it is a fresh factorization.
+    knoll = PETSc.Options(prefix).getBool("ksp_knoll", ksp.getType() != "preonly")
+    ksp.setInitialGuessKnoll(knoll)
     return ksp
 
 
+@logged("factors")
 def set_up(ksp, matrix, operators):
     """Set up a KSP's preconditioner for a matrix; return whether that worked. Collective.
 
@@ -235,6 +255,8 @@ def set_up(ksp, matrix, operators):
     finally:
         if quick:
             options.delValue(ORDERING)
+    made = "factorization" if ksp.getPC().getType() in FACTORIZATIONS else "set-up"
+    note(solver_name(ksp), comm, **{made: 1, "iteration": 0})
     works = ksp.getConvergedReason() >= 0  # says it of this rank alone
     return works if comm.size == 1 else comm.allreduce(works, MPI.LAND)
 

@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from pgran.errors import InputError
 from pgran.medium.bonds import SIGNS, bond_ends
-from pgran.run.petsc import PETSc
+from pgran.run.petsc import PETSc, logged
 
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
@@ -78,6 +78,7 @@ class Operators(Owner):
 
     owns = ("K", "C", "M", "_diagonal", "S", "f", "f_stiffness", "f_damping", "sizes", "layout")
 
+    @logged("assembly")
     def __init__(self, lattice, comm):
         self.lattice, self.comm = lattice, comm
         self.shape, self.size = lattice.shape, lattice.size
@@ -107,6 +108,7 @@ class Operators(Owner):
         """The drive. Collective when first asked for."""
         return self.f_stiffness.duplicate()
 
+    @logged("assembly")
     def combine(self, s):
         """Set S(s) = K + s beta C + s^2 M and the drive f(s) (paper: ampeq, s = i omega).
 
@@ -127,6 +129,7 @@ class Operators(Owner):
         self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
 
+    @logged("assembly")
     def set_stiffness(self, constants, bonds=None):
         """Set all constants in K and in the drive; only some `bonds` differ, if these are given.
 

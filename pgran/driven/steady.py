@@ -23,10 +23,11 @@ from pgran.driven.linear import (
     ends_run,
     expected_iterations,
     factor_price,
+    point_name,
 )
 from pgran.driven.operators import Owner
 from pgran.errors import petsc_message
-from pgran.run.petsc import PETSc
+from pgran.run.petsc import PETSc, logged
 
 log = logging.getLogger("pgran")
 
@@ -44,7 +45,7 @@ class SteadySolver(Owner):
     along omega are computed as well.
     """
 
-    owns = ("_krylov", "bounds", "_correction", "primal", "_units", "adjoints")
+    owns = ("_krylov", "bounds", "primal", "_units", "adjoints")
 
     def __init__(
         self, operators, sites, error_tolerance=1e-4, refresh_iterations=0, whole_field=False,
@@ -66,18 +67,18 @@ class SteadySolver(Owner):
         """Make what is solved, and what bounds the errors."""
         asked = self.tolerance, self.floor, self.whole_field
         self.bounds = Accuracy(self.operators, self._sites, *asked)
-        self._correction, self.primal = self.operators.f.duplicate(), System(self.operators.f)
+        self.primal = System(self.operators.f)
 
     @cached_property
     def adjoints(self):
         """The adjoint of each detector. Collective when first asked for."""
         self._units = self.bounds.detectors.unit_vectors()
-        return [System(unit) for unit in self._units]
+        return list(map(System, self._units, self.bounds.detectors.names))
 
     @cached_property
     def _krylov(self):
         """The KSP, made only for use: SuperLU_DIST cannot free what it never factored."""
-        return Krylov(self.operators, self._correction)
+        return Krylov(self.operators)
 
     @property
     def field(self):
@@ -104,6 +105,7 @@ class SteadySolver(Owner):
         self._policy.restart()
         self._earlier, self._size = [], None
 
+    @logged("states")
     def solve(self, s):
         """Return the `SteadyState` at s = sigma + i omega, sigma >= 0: i omega for a steady drive.
 
@@ -265,8 +267,7 @@ class SteadySolver(Owner):
         message = petsc_message(error)
         if message not in self._told:
             self._told.add(message)
-            point = f"s = {s:g}" if s.real else f"omega = {s.imag:g}"
-            log.warning("%s is marked: %s", point, message)
+            log.warning("%s is marked: %s", point_name(s), message)
 
     def _forget_factors(self):
         """Free what PETSc may have marked as failed for good: its solvers and S."""

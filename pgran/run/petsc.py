@@ -4,8 +4,10 @@ MPI comes before PETSc, which may have no MPI library of its own; and PETSc read
 options. `pgran run` starts it with the keys of its options file; nobody else has any.
 """
 
+import collections
 import contextlib
 import ctypes
+import functools
 import logging
 
 import numpy
@@ -14,6 +16,7 @@ import petsc4py
 from pgran.errors import PgranError, is_petsc
 from pgran.run import launch
 from pgran.run.agreement import end_together
+from pgran.store.estimate import counted
 
 end_together(launch.start())
 petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler"])  # once: later calls do nothing
@@ -26,7 +29,48 @@ if PETSc.ScalarType().dtype.kind != "c":
     raise PgranError("this PETSc has real scalars; pgran needs a complex one (pgran doctor)")
 
 log = logging.getLogger("pgran")
-solved = {}  # of prefixes of KSPs whether these have solved anything
+work = {}  # by the name of a solver how much this rank has done with it
+PARTS = {  # of -log_view, registered in the same order on all ranks
+    part: (PETSc.Log.Stage(part), PETSc.Log.Event(f"pgran:{part}"))
+    for part in ("assembly", "factors", "states", "models", "bounds", "counts", "modes", "windows")
+}
+
+
+def logged(part):
+    """Return what lets -log_view show a function as a stage, and count its calls as an event."""
+
+    def decorate(function):
+        @functools.wraps(function)
+        def shown(*values, **choices):
+            if not PETSc.Log.isActive():
+                return function(*values, **choices)
+            stage, event = PARTS[part]
+            stage.push()
+            event.begin()
+            try:
+                return function(*values, **choices)
+            finally:
+                event.end()
+                stage.pop()
+
+        return shown
+
+    return decorate
+
+
+def note(solver, comm, **done):
+    """Note what a solver, by its name, of the ranks `comm` has done: `iteration=3`."""
+    if comm.rank == 0:
+        work.setdefault(solver, collections.Counter()).update(done)
+
+
+def work_done(world):
+    """Return in words what each solver of all ranks has done. Collective."""
+    total = {}
+    for solver, done in [pair for some in world.allgather(work) for pair in some.items()]:
+        total.setdefault(solver, collections.Counter()).update(done)
+    told = {s: ", ".join(counted(n, name) for name, n in total[s].items()) for s in total}
+    return [f"solved by {solver}: {done}" for solver, done in told.items()]
 
 
 @contextlib.contextmanager
@@ -45,7 +89,6 @@ def plain_errors():
 def holding(keys):
     """Let solver keys, the same on every rank, hold meanwhile; one whose text is None is hidden."""
     before = PETSc.Options().getAll()
-    solved.clear()
     _set(keys)
     try:
         yield
@@ -64,17 +107,15 @@ def _set(keys):
 
 
 def unused(keys):
-    """Return {key: why} of those of some keys in the database that nothing has acted on."""
-    used, idle = _whether_used(), tuple(f"{prefix}ksp_" for prefix in solved if not solved[prefix])
-    why = {key: "no solver of this run has such an option" for key in keys if not used(key)}
-    alone = "factorizations alone solved all; -sweep_method points, or no factorization, uses a KSP"
-    return why | {key: alone for key in keys if key.startswith(idle)}
+    """Return those of some keys in the database that nothing has acted on."""
+    used = _whether_used()
+    return [key for key in keys if not used(key)]
 
 
 def warn_of_unused(keys):
     """Warn of those of some keys in the database that nothing has acted on."""
-    for key, why in unused(keys).items():
-        log.warning("-%s was not used: %s", key, why)
+    for key in unused(keys):
+        log.warning("-%s was not used: no solver of this run has such an option", key)
 
 
 def _whether_used():

@@ -148,8 +148,8 @@ class Comparison(Task):
             started = time.perf_counter()
             result = self.study.solve(self.workers, **configuration.choices)
             seconds = world.allreduce(time.perf_counter() - started, MPI.MAX)
-            for key, why in unused(configuration.keys).items():
-                self._warn(f"-{key} of {configuration.solver} was not used: {why}")
+            for key in unused(configuration.keys):
+                self._warn(f"-{key} of {configuration.solver} was not used")
         return result, seconds
 
     def _warn(self, line):

@@ -192,8 +192,8 @@ def nearest(medium, target, count):
 def search(operators, target, count):
     """Return s and x, a row each as PETSc numbers unknowns, of modes nearest to a target."""
     from pgran.driven.operators import SAME
-    from pgran.experiments.modes.normal import SLEPc, invert
-    from pgran.run.petsc import PETSc, plain_errors
+    from pgran.experiments.modes.normal import SLEPc, invert, note_search
+    from pgran.run.petsc import PETSc, logged, plain_errors
 
     K, lattice = operators.K, operators.lattice
     M, x, pep = K.duplicate(), K.createVecRight(), SLEPc.PEP().create(PETSc.COMM_SELF)
@@ -219,7 +219,8 @@ def search(operators, target, count):
         pep.setFromOptions()
         x.setArray(np.random.Generator(np.random.Philox(0)).standard_normal(lattice.size))
         pep.setInitialSpace([x])
-        pep.solve()
+        logged("modes")(pep.solve)()
+        note_search(pep)
         s, rows = np.empty(min(pep.getConverged(), 2 * count), complex), []
         for number in range(len(s)):
             s[number] = pep.getEigenpair(number, x)

@@ -21,7 +21,7 @@ from pgran.driven.counting import complex_matrix, flag_hermitian, real_matrix
 from pgran.driven.factors import RealFactors
 from pgran.driven.operators import Owner
 from pgran.experiments.modes.shapes import with_fixed_sign
-from pgran.run.petsc import PETSc, plain_errors
+from pgran.run.petsc import PETSc, logged, note, plain_errors
 
 slepc4py.init([])  # PETSc has its options already
 
@@ -126,6 +126,7 @@ class ModeSolver(Owner):
             )  # fmt: skip
         return best.values, with_fixed_sign(self._layout.fields(best.vectors)), best.residuals
 
+    @logged("modes")
     def _modes(self, eps, low, high, count, fraction=SHIFTS[0], searches=SEARCHES):
         """Return the real modes of a slice that an EPS finds, refined where that pays."""
         rows = self._search(eps, low, high, count, fraction, searches)
@@ -171,6 +172,7 @@ class ModeSolver(Owner):
                         self._deflated = True
                     self._start(eps, before)
                     eps.solve()
+                    note_search(eps)
                     for number in range(eps.getConverged()):
                         vector = self.K.createVecLeft()
                         value = eps.getEigenpair(number, vector).real
@@ -267,6 +269,13 @@ class ModeSolver(Owner):
         return refined
 
 
+def note_search(solver):
+    """Note what a solve of an EPS or a PEP has taken and found."""
+    name = f"-{solver.getOptionsPrefix()}* {type(solver).__name__} {solver.getType()}"
+    found = {"iteration": solver.getIterationNumber(), "pair": solver.getConverged()}
+    note(f"{name}, ST {solver.getST().getType()}", solver.comm, solve=1, **found)
+
+
 def invert(st, medium, by_inertia=False):
     """Let a solver see the inverse of a shifted matrix, by factors, with inertias if asked."""
     st.setType("sinvert")
@@ -289,6 +298,7 @@ class SymmetricFactors:
     Where factors fill, its dense blocks are much faster than PETSc's own complex LDL^T.
     """
 
+    @logged("factors")
     def setUp(self, pc):
         """Factor the matrix."""
         matrix, _ = pc.getOperators()

@@ -218,8 +218,11 @@ def route(method, medium, wanted, damped):
 
     By `auto` that is for damped modes a search if there are few of many; for normal ones of a
     lattice slices, whose factors are cheap; for those of a network what is faster, if it fits into
-    the memory, but slices where keys for an EPS are set.
+    the memory. Where keys for SLEPc's solvers are set, these search.
     """
+    from pgran.run.petsc import PETSc
+
+    asked = bool(PETSc.Options("damped_" if damped else "normal_").getAll())
     if damped:
         near = wanted.targets is not None and len(wanted.targets) == 1
         few = near and 4 * wanted.count < medium.size
@@ -228,11 +231,9 @@ def route(method, medium, wanted, damped):
                 "-modes_method eps: damped modes are searched for near one -modes_target, fewer "
                 "than a quarter of the unknowns; -modes_method dense finds all"
             )
-        by_search = few and medium.size > SMALL
+        by_search = few and (medium.size > SMALL or asked)
     else:
-        from pgran.run.petsc import PETSc
-
-        by_search = medium.is_grid or bool(PETSc.Options("normal_").getAll())
+        by_search = medium.is_grid or asked
         if method == "auto" and not by_search:
             from pgran.experiments.modes import dense
 

@@ -23,7 +23,7 @@ from scipy.sparse import coo_matrix
 from pgran.driven.operators import SAME, Owner
 from pgran.errors import InputError
 from pgran.experiments.pulse.wall import BAND
-from pgran.run.petsc import PETSc, holding
+from pgran.run.petsc import PETSc, holding, note
 
 log = logging.getLogger("pgran")
 
@@ -150,6 +150,7 @@ class Integrator(Owner):
             if self._given.getString("ts_adapt_type", "") == "none":
                 ts.setTimeStep(STEP_RATIO**number * ts.getTimeStep())
             ts.solve(state)
+        note(f"-pulse_* TS {ts.getType()}", self.comm, integration=1, step=ts.getStepNumber())
         self._given.getReal("ts_dt", step)  # it was used
         reason, ended = ts.getConvergedReason(), ts.getTime() / self.rate
         complete = reason > 0 and ended >= end

@@ -40,6 +40,7 @@ from pgran.driven.deformation import Deformation, amplitudes, march
 from pgran.driven.operators import Owner
 from pgran.errors import InputError
 from pgran.medium.base import SMALLEST_NORMAL
+from pgran.run.petsc import logged
 
 # A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
 # cheap, and errors are a hundredth of their bounds or less, which keeps them below 1e-10.
@@ -142,6 +143,7 @@ class Windows(Owner):
         self.exchange, self.solver, self.s = exchange, solver, s
         self._columns, self._rows = BlockSolver(solver), self.operators.lattice.row_norms
 
+    @logged("windows")
     def follow(self, state, changes):
         """Return the amplitudes after each change, shape (n, nd), and their bounds. Collective.
 

@@ -129,7 +129,10 @@ def solve_curve(task, crew, tolerance, keep_models, progress):
 
 def _rows(task, models, limits, crew, tolerance, progress):
     """Return rows of the task by proven models, and others one by one, on rank 0. Collective."""
-    modelled = carry_out(CurvePoints(models, limits, task.omegas, tolerance), crew)
+    from pgran.run.petsc import logged
+
+    curve = CurvePoints(models, limits, task.omegas, tolerance)
+    modelled = logged("models")(carry_out)(curve, crew)
     rows = None if modelled is None else task.accurate(modelled)
 
     def missing():

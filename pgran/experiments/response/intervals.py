@@ -19,13 +19,13 @@ import numpy as np
 
 from pgran.driven.accuracy import Detectors
 from pgran.driven.counting import smallest_damping, smallest_loss
-from pgran.driven.linear import LEAST_NORM, ends_run, make_ksp, set_up
+from pgran.driven.linear import LEAST_NORM, Krylov, ends_run
 from pgran.driven.operators import Owner
 from pgran.errors import petsc_message
 from pgran.experiments.response.models import ModelLimits, evaluate, moments_of, poles, squares
 from pgran.experiments.response.record import model_dtype
 from pgran.medium.base import EPSILON
-from pgran.run.petsc import PETSc
+from pgran.run.petsc import PETSc, logged
 
 log = logging.getLogger("pgran")
 
@@ -42,7 +42,7 @@ class IntervalModels(Owner):
     `sites` (nd, dim); `length` takes a frequency and returns about how long an interval may be.
     """
 
-    owns = ("_ksp", "_rhs", "_solution", "_image", "_columns", "_products")
+    owns = ("_krylov", "_rhs", "_solution", "_image", "_columns", "_products")
 
     def __init__(self, operators, sites, tolerance, length):
         self.operators, self.comm = operators, operators.comm
@@ -56,7 +56,8 @@ class IntervalModels(Owner):
         columns = (systems + 1) * self.width
         self._columns, self._products = (operators.block(columns) for _ in range(2))
         # this rank's rows of g_0, g_1 of each system: of an adjoint e_d, 0
-        units = Detectors(operators, sites).unit_vectors()
+        detectors = Detectors(operators, sites)
+        units, self._names = detectors.unit_vectors(), ["amplitudes", *detectors.names]
         self._loads = np.zeros((systems, operators.last - operators.first, 2), complex)
         for load, vector in zip(self._loads, [operators.f_stiffness, *units], strict=True):
             load[:, 0] = vector.getArray()
@@ -66,9 +67,9 @@ class IntervalModels(Owner):
         self.limits = self._limits(sites)
 
     @cached_property
-    def _ksp(self):
+    def _krylov(self):
         """What factors S. Collective when first asked for."""
-        return make_ksp(self.operators, self.operators.S)
+        return Krylov(self.operators)
 
     def _limits(self, sites):
         """Return what bounds the errors of all models."""
@@ -138,6 +139,7 @@ class IntervalModels(Owner):
             elif end != ahead[-1]:
                 ahead.append(end)
 
+    @logged("bounds")
     def _missed(self, model):
         """Return the largest bound relative to what is allowed; whether rounding alone exceeds it.
 
@@ -165,23 +167,23 @@ class IntervalModels(Owner):
         """Return moments of A and adjoints, (systems, own balls, m); NaN on failure. Collective."""
         self.operators.combine(1j * omega)
         self.factorizations += 1
-        ksp, moments = self._ksp, None
+        moments = None
         try:
-            if set_up(ksp, self.operators.S, self.operators):
+            if self._krylov.factor():
                 moments = self._series(omega)
         except PETSc.Error as error:
             if ends_run(error, self._works, self.comm):
                 raise
             log.warning("no model at omega = %g: %s", omega, petsc_message(error))
         if moments is None:
-            self.forget("_ksp")
+            self.forget("_krylov")
             return np.full((*self._loads.shape[:2], self._count), np.nan, dtype=complex)
         self._works = True
         return moments
 
     def _series(self, omega):
         """Return the moments at a frequency whose S is factored."""
-        operators, factor = self.operators, self._ksp.getPC().getFactorMatrix()
+        operators = self.operators
         h, damping, mass = self.length(omega), operators.damping, operators.mass
         g = operators.f.getArray()[:, None]
         rhs = np.concatenate([g, self._loads[1:, :, 0].T], axis=1)
@@ -189,7 +191,8 @@ class IntervalModels(Owner):
         for k in range(self._count):
             self._rhs.getDenseArray()[:] = rhs
             self._rhs.assemble()
-            factor.matSolve(self._rhs, self._solution)
+            names = [f"{name}, derivative {k}" if k else name for name in self._names]
+            self._krylov.invert(self._rhs, self._solution, names)
             x[k] = self._solution.getDenseArray(readonly=True)
             operators.C.matMult(self._solution, self._image)
             damped = 1j * damping * self._image.getDenseArray(readonly=True)
@@ -200,6 +203,7 @@ class IntervalModels(Owner):
                 rhs += h * h * mass * x[k - 1]
         return np.ascontiguousarray(x.transpose(2, 1, 0))
 
+    @logged("models")
     def _model(self, low, high, *moments):
         """Return the model of an interval from the moments at its ends. Collective."""
         model = np.zeros(1, self.dtype)
