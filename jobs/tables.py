@@ -1,4 +1,4 @@
-"""The tables of the pages on options and on files, as `bash jobs/manual.sh` writes them."""
+"""The tables of the pages on options, solvers and files, as `bash jobs/manual.sh` writes them."""
 
 import re
 from pathlib import Path
@@ -12,10 +12,7 @@ MANUAL = Path(__file__).parents[1] / "pgran" / "manual"
 
 
 def options():
-    """Yield all options, and the prefixes of solvers.
-
-    An option that means something else in another scene has all of its meanings.
-    """
+    """Yield all options; one that means something else in another scene has all its meanings."""
     same = {}
     for option in (scene_option(), *(o for scene in SCENES for o in options_of(scene).values())):
         same.setdefault(option.name, {})[option] = None
@@ -25,7 +22,11 @@ def options():
         first, *_ = same[name]
         default = "" if first.default is None else text_of(first.default)
         yield f"| `-{name}` | {default} | {'; '.join(map(_meaning, same[name]))} |"
-    yield from ("", "| prefix | PETSc's and SLEPc's options of |", "|---|---|")
+
+
+def solvers():
+    """Yield the prefixes of solvers."""
+    yield from ("| prefix | PETSc's and SLEPc's options of |", "|---|---|")
     for prefix, (of, _) in SOLVERS.items():
         yield f"| `-{prefix}*` | {of} |"
 
@@ -49,7 +50,7 @@ def files():
         yield ""
 
 
-TABLES = {"options": options, "files": files}
+TABLES = {"options": options, "solvers": solvers, "files": files}
 
 if __name__ == "__main__":
     for name, lines in TABLES.items():

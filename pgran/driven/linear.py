@@ -133,7 +133,7 @@ class Krylov(Owner):
             return
         before, correction = system.norm, self._correction
         # Relative, because a KSP may measure preconditioned residuals, which have another unit.
-        self._solve(system.residual, max(self._rtol, target / before), f"more {system.name}")
+        self._solve(system.residual, max(self._rtol, target / before), f"rest of {system.name}")
         self.reason = self.ksp.getConvergedReason()
         system.solution.axpy(1.0, correction)
         system.update_residual(self.operators.S)
