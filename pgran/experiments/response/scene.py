@@ -261,7 +261,7 @@ def summary(result):
     yield from drive.reached_accuracy(response, response.converged_reason > 0)
     yield from unresolved(response, lattice.built.dissipates)
     if response.method == "curve" and "-steady_ksp_" in result.attributes.get("options", ""):
-        yield "the KSP solved at the ends of intervals; -sweep_method points: at each frequency"
+        yield "the KSP solves at the ends of intervals; by -sweep_method points at each frequency"
     window = response.phase_fit_min, response.phase_fit_max
     lines = phase_lines(lattice, response.omega, response.phase, response.line_error, window)
     for d, (ball, line) in enumerate(zip(ball_names(response.detector), lines, strict=True)):
