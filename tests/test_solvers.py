@@ -35,9 +35,9 @@ def test_a_ksp_can_be_watched(start, shared_path, ranks, kind, keys, parts):
 
 
 @pytest.mark.parametrize("method", ["points", "curve"])
-def test_keys_of_the_ksp_act(world, method, caplog, monkeypatch):
+def test_keys_of_the_ksp_act(world, method, caplog):
     """It solves where factors alone would do, and bounds hold; all that ranks did is counted."""
-    monkeypatch.setattr(petsc, "work", {})
+    petsc.work.clear()
     keys = {"steady_ksp_type": "gmres", "steady_ksp_knoll": "false"}
     sweep = partial(pgran.sweep, LATTICE, OMEGAS, [3, 2], method=method, resolve=0)
     one, other = sweep(), sweep(solver=keys)

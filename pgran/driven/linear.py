@@ -5,6 +5,7 @@ that a run repeats exactly.
 """
 
 import math
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -69,12 +70,13 @@ class System(Owner):
 class Krylov(Owner):
     """The KSP of S; its `iterations` since `begin`, its last `reason`, or 0. Collective."""
 
-    owns = ("ksp", "_correction", "_block", "_image")
+    owns = ("ksp", "_block", "_image")
 
-    def __init__(self, operators):
-        self.operators, self._correction = operators, operators.f.duplicate()
+    def __init__(self, operators, correction):
+        self.operators, self._correction = operators, correction
         self.ksp, self._block, self._image = make_ksp(operators, operators.S), None, None
         self._rtol, _, _, self._longest = self.ksp.getTolerances()
+        self._exact = self.pc.getType() in FACTORIZATIONS
         self._asked = [k[11:] for k in PETSc.Options().getAll() if k.startswith("steady_ksp_")]
         self._prints = any(key.startswith(("view", "monitor", "converged")) for key in self._asked)
         self.begin()
@@ -94,15 +96,23 @@ class Krylov(Owner):
         self.pc.setReusePreconditioner(False)
         works = set_up(self.ksp, self.operators.S, self.operators)
         self.pc.setReusePreconditioner(works)
-        self._fresh, self._at = self.pc.getType() in FACTORIZATIONS, point_name(self.operators.s)
+        self._fresh, self._s = self._exact, self.operators.s
+        made = "factorization" if self._exact else "set-up"
+        note(self._name, self.operators.comm, **{made: 1, "iteration": 0})
         return works
+
+    @cached_property
+    def _name(self):
+        """The KSP, once it is set up, in words."""
+        package = f" ({self.pc.getFactorSolverType()})" if self._exact else ""
+        return f"-steady_* KSP {self.ksp.getType()}, PC {self.pc.getType()}{package}"
 
     def start(self, systems):
         """Guess the preconditioned right-hand sides, which may be the solutions. Collective.
 
         Keys for the KSP act: with any, it solves where applying a factorization once might do.
         """
-        if self._asked and self.pc.getType() in FACTORIZATIONS:
+        if self._asked and self._exact:
             for system in systems:
                 self._solve(system.rhs, self._rtol, system.name)
                 self._correction.copy(system.solution)
@@ -152,7 +162,7 @@ class Krylov(Owner):
     @logged("states")
     def invert(self, block, image, names=()):
         """Set a block's columns to S^-1 of another's: by factors, or a KSP each. Collective."""
-        if self.pc.getType() in FACTORIZATIONS and not self._asked:
+        if self._exact and not self._asked:
             self.pc.getFactorMatrix().matSolve(block, image)
             return
         rhs, columns = self._correction.duplicate(), block.getDenseArray(readonly=True).T
@@ -167,26 +177,19 @@ class Krylov(Owner):
     def _solve(self, rhs, rtol, name):
         """Solve for a right-hand side; say of which, and with what, above what the KSP prints."""
         if self._prints:
-            made = ", fresh: one application solves" if self._fresh else f" of {self._at}"
+            age = ", fresh: one application solves" if self._fresh else f" of {point_name(self._s)}"
             here = f"rank {MPI.COMM_WORLD.rank}, {point_name(self.operators.s)}, {name}"
-            PETSc.Sys.Print(f"{here}: {solver_name(self.ksp)}{made}", comm=self.ksp.comm)
+            PETSc.Sys.Print(f"{here}: {self._name}{age}", comm=self.ksp.comm)
         self.ksp.setTolerances(rtol=rtol)
         self.ksp.solve(rhs, self._correction)
         if self.ksp.getType() != "preonly":  # whose one iteration is to apply the preconditioner
             self.iterations += self.ksp.getIterationNumber()
-            note(solver_name(self.ksp), self.ksp.comm, iteration=self.ksp.getIterationNumber())
+            note(self._name, self.operators.comm, iteration=self.ksp.getIterationNumber())
 
 
 def point_name(s):
     """Return an s = sigma + i omega in words."""
     return f"s = {s:g}" if s.real else f"omega = {s.imag:g}"
-
-
-def solver_name(ksp):
-    """Return a KSP, whose preconditioner is set up, in words."""
-    pc, name = ksp.getPC(), f"-{ksp.getOptionsPrefix()}* KSP {ksp.getType()}"
-    package = f" ({pc.getFactorSolverType()})" if pc.getType() in FACTORIZATIONS else ""
-    return f"{name}, PC {pc.getType()}{package}"
 
 
 def is_factored():
@@ -255,8 +258,6 @@ def set_up(ksp, matrix, operators):
     finally:
         if quick:
             options.delValue(ORDERING)
-    made = "factorization" if ksp.getPC().getType() in FACTORIZATIONS else "set-up"
-    note(solver_name(ksp), comm, **{made: 1, "iteration": 0})
     works = ksp.getConvergedReason() >= 0  # says it of this rank alone
     return works if comm.size == 1 else comm.allreduce(works, MPI.LAND)
 

@@ -45,7 +45,7 @@ class SteadySolver(Owner):
     along omega are computed as well.
     """
 
-    owns = ("_krylov", "bounds", "primal", "_units", "adjoints")
+    owns = ("_krylov", "bounds", "_correction", "primal", "_units", "adjoints")
 
     def __init__(
         self, operators, sites, error_tolerance=1e-4, refresh_iterations=0, whole_field=False,
@@ -67,7 +67,7 @@ class SteadySolver(Owner):
         """Make what is solved, and what bounds the errors."""
         asked = self.tolerance, self.floor, self.whole_field
         self.bounds = Accuracy(self.operators, self._sites, *asked)
-        self.primal = System(self.operators.f)
+        self._correction, self.primal = self.operators.f.duplicate(), System(self.operators.f)
 
     @cached_property
     def adjoints(self):
@@ -78,7 +78,7 @@ class SteadySolver(Owner):
     @cached_property
     def _krylov(self):
         """The KSP, made only for use: SuperLU_DIST cannot free what it never factored."""
-        return Krylov(self.operators)
+        return Krylov(self.operators, self._correction)
 
     @property
     def field(self):

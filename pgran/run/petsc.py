@@ -29,7 +29,7 @@ if PETSc.ScalarType().dtype.kind != "c":
     raise PgranError("this PETSc has real scalars; pgran needs a complex one (pgran doctor)")
 
 log = logging.getLogger("pgran")
-work = {}  # by the name of a solver how much this rank has done with it
+work = collections.Counter()  # by a solver's name and what it does how often this rank has
 PARTS = {  # of -log_view, registered in the same order on all ranks
     part: (PETSc.Log.Stage(part), PETSc.Log.Event(f"pgran:{part}"))
     for part in ("assembly", "factors", "states", "models", "bounds", "counts", "modes", "windows")
@@ -37,13 +37,11 @@ PARTS = {  # of -log_view, registered in the same order on all ranks
 
 
 def logged(part):
-    """Return what lets -log_view show a function as a stage, and count its calls as an event."""
+    """Return what makes a function a stage and an event of -log_view, where PETSc logs at all."""
 
     def decorate(function):
         @functools.wraps(function)
         def shown(*values, **choices):
-            if not PETSc.Log.isActive():
-                return function(*values, **choices)
             stage, event = PARTS[part]
             stage.push()
             event.begin()
@@ -53,24 +51,25 @@ def logged(part):
                 event.end()
                 stage.pop()
 
-        return shown
+        return shown if PETSc.Log.isActive() else function
 
     return decorate
 
 
 def note(solver, comm, **done):
     """Note what a solver, by its name, of the ranks `comm` has done: `iteration=3`."""
-    if comm.rank == 0:
-        work.setdefault(solver, collections.Counter()).update(done)
+    for what, number in done.items() if comm.rank == 0 else ():
+        work[solver, what] += number
 
 
 def work_done(world):
     """Return in words what each solver of all ranks has done. Collective."""
-    total = {}
-    for solver, done in [pair for some in world.allgather(work) for pair in some.items()]:
-        total.setdefault(solver, collections.Counter()).update(done)
-    told = {s: ", ".join(counted(n, name) for name, n in total[s].items()) for s in total}
-    return [f"solved by {solver}: {done}" for solver, done in told.items()]
+    total, told = collections.Counter(), {}
+    for some in world.allgather(work):
+        total.update(some)
+    for (solver, what), number in total.items():
+        told.setdefault(solver, []).append(counted(number, what))
+    return [f"solved by {solver}: {', '.join(done)}" for solver, done in told.items()]
 
 
 @contextlib.contextmanager

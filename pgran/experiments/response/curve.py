@@ -131,12 +131,11 @@ def _rows(task, models, limits, crew, tolerance, progress):
     """Return rows of the task by proven models, and others one by one, on rank 0. Collective."""
     from pgran.run.petsc import logged
 
-    curve = CurvePoints(models, limits, task.omegas, tolerance)
-    modelled = logged("models")(carry_out)(curve, crew)
-    rows = None if modelled is None else task.accurate(modelled)
+    points = logged("models")(carry_out)(CurvePoints(models, limits, task.omegas, tolerance), crew)
+    rows = None if points is None else task.accurate(points)
 
     def missing():
-        return np.setdiff1d(np.union1d(task.omegas, modelled["omega"]), rows["omega"])
+        return np.setdiff1d(np.union1d(task.omegas, points["omega"]), rows["omega"])
 
     others = on_root(crew.world, missing)
     if len(others):

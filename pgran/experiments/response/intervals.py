@@ -42,7 +42,7 @@ class IntervalModels(Owner):
     `sites` (nd, dim); `length` takes a frequency and returns about how long an interval may be.
     """
 
-    owns = ("_krylov", "_rhs", "_solution", "_image", "_columns", "_products")
+    owns = ("_krylov", "_correction", "_rhs", "_solution", "_image", "_columns", "_products")
 
     def __init__(self, operators, sites, tolerance, length):
         self.operators, self.comm = operators, operators.comm
@@ -62,14 +62,15 @@ class IntervalModels(Owner):
         for load, vector in zip(self._loads, [operators.f_stiffness, *units], strict=True):
             load[:, 0] = vector.getArray()
         self._loads[0, :, 1] = 1j * operators.damping * operators.f_damping.getArray()
-        for vector in units:
+        self._correction, *others = units
+        for vector in others:
             vector.destroy()
         self.limits = self._limits(sites)
 
     @cached_property
     def _krylov(self):
         """What factors S. Collective when first asked for."""
-        return Krylov(self.operators)
+        return Krylov(self.operators, self._correction)
 
     def _limits(self, sites):
         """Return what bounds the errors of all models."""
