@@ -4,6 +4,7 @@ import dataclasses
 import importlib.util
 import sys
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from test_light_balls import light_chain
 import pgran
 from pgran import __main__ as program
 from pgran.command.export import export
-from pgran.errors import FileError, PgranError
+from pgran.errors import FileError, InputError, PgranError
 from pgran.experiments.relaxation import fluctuations
 from pgran.medium.base import record_of
 from pgran.medium.crystals import crystal
@@ -170,6 +171,45 @@ def test_exported_fields_of_a_pulse(tmp_path, displacement):
         if turned is not None:
             assert np.array_equal(turned[net.free, 2], components[:, 2])
             assert not turned[:, :2].any()
+    export(result_of(found, net), tmp_path / "p.pvd")
+    listed = ElementTree.parse(tmp_path / "p.pvd").findall(".//DataSet")
+    assert [float(each.get("timestep")) for each in listed] == found.field_time.tolist()
+    for number, each in enumerate(listed, 1):
+        alone = pytest.importorskip("meshio").read(tmp_path / each.get("file")).point_data
+        assert np.array_equal(alone["displacement"], balls[f"field_{number:04}"])
+
+
+@pytest.mark.parametrize("displacement", ["vector", "rotations", "lattice"])
+def test_ovito_reads_chosen_modes(tmp_path, displacement):
+    """By its own names what the VTK file holds, a frame a mode; and the contacts as bonds."""
+    ovito = pytest.importorskip("ovito.io", reason="no reader of OVITO's: pip install ovito")
+    lattice = displacement == "lattice"
+    net = random_lattice((4, 3)) if lattice else packing(displacement, box=[0, 4.5])
+    result = result_of(pgran.find_modes(net, shapes=True), net)
+    points, lines, balls, bonds = read_mesh(result, tmp_path / "a.vtu")
+    moves = {".xyz": ["Displacement", "rotation"], ".dump": ["Velocity", "Angular Velocity"]}
+    for ending, (move, turn) in moves.items():
+        path, *others = export(result, tmp_path / f"a{ending}", modes=[3, 0])
+        frames = ovito.import_file(path)
+        assert frames.num_frames == 2
+        for n, mode in enumerate([3, 0]):
+            found, name = frames.compute(n), f"mode_{mode + 1:04}"
+            names = {"amplitude" if lattice else move: name, turn: f"{name}_rotation"}
+            for theirs, ours in (names | {"Mass": "mass", "Radius": "radius"}).items():
+                if ours in balls:
+                    assert found.particles[theirs][...] == pytest.approx(balls[ours], rel=1e-14)
+            assert found.particles.positions[...] == pytest.approx(points, rel=1e-14)
+            assert tuple(found.cell.pbc) == (False, not lattice, False)
+            kinds = found.particles.particle_types
+            named = [kinds.type_by_id(kind).name or str(kind) for kind in kinds[...]]
+            species = ["free", "rest", "driven"] if ending == ".xyz" else ["1", "2", "3"]
+            assert named == [species[held] for held in balls["held"].tolist()]
+            omega = found.attributes.get("omega", result.modes.omega[mode])
+            assert omega == pytest.approx(result.modes.omega[mode])
+    if not lattice:
+        found = ovito.import_file(others[0]).compute().particles.bonds
+        assert np.array_equal(found.topology[...], lines)
+        assert np.array_equal(np.any(found.pbc_vectors[...], axis=1), bonds["crosses"])
 
 
 @pytest.mark.parametrize("most", [0, 6])
@@ -248,7 +288,7 @@ def test_tables_of_several_axes(tmp_path):
 
 def test_the_command(tmp_path, capsys):
     net = packing()
-    found, path = pgran.find_modes(net), tmp_path / "modes.h5"
+    found, path = pgran.find_modes(net, shapes=True), tmp_path / "modes.h5"
     records = [record_of(net), found]
     store.write(path, {"scene": "modes", "bonds_sha256": net.bonds_sha256}, records)
     for ending in ("csv", "VTU") if importlib.util.find_spec("meshio") else ("csv",):
@@ -257,6 +297,12 @@ def test_the_command(tmp_path, capsys):
         assert capsys.readouterr().out == f"{output}\n"
         assert output.stat().st_size > 100
     assert "pgran export" in program.USAGE
+    words = ["export", str(path), str(tmp_path / "a.xyz"), "--modes"]
+    assert program.main([*words, "7,0:3"]) == 0
+    assert (tmp_path / "a.xyz").read_text().count("omega=") == 4
+    for wrong, said in (("0:30", "no 24 among the 24, from 0"), ("7;0", "--modes: 7;0 is no list")):
+        with pytest.raises(InputError, match=said):
+            program.main([*words, wrong])
 
 
 @pytest.mark.parametrize("ending", ["csv", "vtu"])
@@ -278,15 +324,17 @@ def test_refusals(tmp_path, monkeypatch):
     modes = result_of(pgran.find_modes(net), net)
     box = pgran.continuum(np.linspace(0.3, 3, 5), point=(0.15, 0.52), size=(1 / 3, 1.0))
     (tmp_path / "file").touch()
-    with pytest.raises(FileError, match=r"ends in one of \.vtu, \.csv"):
+    with pytest.raises(FileError, match=r"ends in one of \.vtu, \.pvd"):
         export(modes, tmp_path / "a.png")
+    with pytest.raises(InputError, match=r"chosen for \.vtu, \.pvd, \.xyz, \.dump, not for \.csv"):
+        export(modes, tmp_path / "a.csv", modes=[0])
     with pytest.raises(FileError, match=r"no table in this result .scene network"):
         export(net, tmp_path / "a.csv")
     with pytest.raises(FileError, match=r"a\.csv: cannot be written"):
         export(modes, tmp_path / "file" / "a.csv")
     monkeypatch.setitem(sys.modules, "meshio", None)
     with pytest.raises(PgranError, match="pip install meshio"):
-        export(modes, tmp_path / "a.vtu")
+        export(packing(), tmp_path / "a.vtu")
     monkeypatch.setitem(sys.modules, "meshio", SimpleNamespace())
     with pytest.raises(FileError, match="no positions"):
         export(modes, tmp_path / "a.vtu")

@@ -1,4 +1,4 @@
-"""`pgran export`: a result in space, as tables, matrices (.npz), or its packing for LAMMPS."""
+"""`pgran export`: a result in space (ParaView, OVITO), tables, matrices, a packing for LAMMPS."""
 
 import csv
 import functools
@@ -13,7 +13,7 @@ import numpy as np
 import pgran
 from pgran.arguments import called_right, shown
 from pgran.command.words import Parser
-from pgran.errors import DONE, FileError, InputError, PgranError
+from pgran.errors import DONE, FileError, InputError
 from pgran.medium.base import as_result
 from pgran.store.file import is_result
 from pgran.store.paths import check_seal, whole
@@ -24,31 +24,23 @@ if TYPE_CHECKING:
     from pgran.store.record import Result
 
 log = logging.getLogger("pgran")
+IN_SPACE = (".vtu", ".pvd", ".xyz", ".dump")
 HELD = 1e-3  # of the mean force: how exactly positions must hold the forces of a packing
 
 
 @called_right
 def export(
-    result: "Result | Lattice | Network | str | os.PathLike", output: str | os.PathLike
+    result: "Result | Lattice | Network | str | os.PathLike",
+    output: str | os.PathLike,
+    modes: list[int] | None = None,
 ) -> list[Path]:
     """Write a result for other programs: `export("modes.h5", "modes.vtu")`.
 
-    The ending of its name says what is written:
-
-    - `.vtu`, for ParaView and whatever reads VTK, by meshio: balls as points with `mass`, `radius`,
-      `held`; contacts as lines with `stiffness` and so on, `crosses` where one goes across the end
-      of a periodic box; displacements as point data, `mode_0001`, `response_0001_real` and `_imag`,
-      `field_0001`, rotations apart; of a sensitivity `log_amplitude_0001_17` (ball 17), `flux_0001`
-      and `loss_0001` of the contacts at each frequency that succeeded. On a lattice positions are
-      indices, and the walls have points where bonds end, of mass 0.
-    - `.csv`: a row for each frequency, time or mode, with all that the scene's record has there.
-      Other records, and arrays along other axes, go to files beside it:
-      `a-spectrum.csv`, `a-memory.csv` of a relaxation, `a-omega-ball.csv` of the heat at each ball.
-    - `.npz`, what `pgran.matrices` returns, its matrices by entries, rows and columns: after `K =
-      np.zeros((n, n))` so `K[f["K_row"], f["K_column"]] = f["K"]`, with `f = np.load("a.npz")`.
-    - `.lmp`, a data file of LAMMPS (atom_style sphere): the packing of a result, or a network by
-      itself, that knows its contact law. A script beside it, `a.in`, reads it and writes the dumps
-      that `pgran import` takes. Forces are those that positions and radii hold, to all digits.
+    The ending of its name says what is written: balls, contacts, mode shapes and stored fields for
+    ParaView, `.vtu`, or a series of these, `.pvd`; for OVITO, a frame each, `.xyz`, or `.dump` with
+    contacts in `.data` beside it; tables, `.csv`; what `pgran.matrices` returns, `.npz`; for LAMMPS
+    a packing that knows its contact law, `.lmp`, and a script. `pgran manual experiments` says what
+    they hold.
 
     Parameters
     ----------
@@ -56,6 +48,8 @@ def export(
         What `load` returns, or the path of its file.
     output : str or os.PathLike
         A missing folder is made; a file that is there is replaced.
+    modes : array_like of int, optional
+        Which modes, or stored fields, are written in space, from 0; by default all.
 
     Returns
     -------
@@ -66,6 +60,8 @@ def export(
     ------
     FileError
         If the result cannot be read or has no such thing, or the file cannot be written.
+    InputError
+        If no such modes are stored, or the file is not one that holds them in space.
     PgranError
         If there is no meshio.
 
@@ -82,11 +78,18 @@ def export(
         output = Path(output)
     except TypeError:
         raise InputError(f"export: {shown(output)} is no path of a file") from None
-    writers = {".vtu": _write_mesh, ".csv": _write_tables, ".lmp": _write_packing}
-    writers |= {".npz": _write_matrices}
-    if output.suffix.lower() not in writers:
-        raise FileError(f"{output}: an export's name ends in one of {', '.join(writers)}")
-    return writers[output.suffix.lower()](result_of(result), output)
+    writers = {".csv": _write_tables, ".npz": _write_matrices, ".lmp": _write_packing}
+    ending = output.suffix.lower()
+    if ending in IN_SPACE:
+        from pgran.foreign import space
+
+        return space.write(result_of(result), output, modes)
+    if ending not in writers:
+        known = ", ".join([*IN_SPACE, *writers])
+        raise FileError(f"{output}: an export's name ends in one of {known}")
+    if modes is not None:
+        raise InputError(f"modes: are chosen for {', '.join(IN_SPACE)}, not for {ending}")
+    return writers[ending](result_of(result), output)
 
 
 def result_of(given):
@@ -117,19 +120,22 @@ def run(words):
     """Write a result for other programs: in space, as tables, or its packing for LAMMPS."""
     examples = (
         "pgran export results/modes.h5 results/modes.vtu",
+        "pgran export results/modes.h5 results/modes.xyz --modes 0:10,33",
         "pgran export results/response.h5 results/response.csv",
         "pgran export results/pressed.h5 results/pressed.lmp",
     )
     target = (
-        "file to write; NAME.vtu: balls, contacts and displacements, for ParaView and others; "
-        "NAME.csv: a row for each frequency, time or mode, and other arrays in files beside it; "
-        "NAME.lmp: a packing, for LAMMPS, with NAME.in beside it; NAME.npz: the medium's matrices"
+        "file to write; .vtu, .pvd: in space, for ParaView; .xyz, .dump: the same for OVITO; .csv: "
+        "tables; .npz: matrices; .lmp: a packing for LAMMPS, and a script; see pgran manual "
+        "experiments"
     )
     parser = Parser("export", run.__doc__, *examples)
     parser.add_argument("result", metavar="RESULT", help="HDF5 file of a result or a network")
     parser.add_argument("output", metavar="TO", help=target)
+    of_modes = "which modes, or stored fields, from 0: numbers, and ranges as 0:10, the first ten"
+    parser.add_argument("--modes", type=_mode_numbers, metavar="LIST", help=of_modes)
     options = parser.read(words)
-    for path in export(options.result, options.output):
+    for path in export(options.result, options.output, options.modes):
         print(path)
     return DONE
 
@@ -169,25 +175,10 @@ def _write_matrices(result, output):
     return [output]
 
 
-def _write_mesh(result, output):
-    """Write balls, contacts and displacements."""
-    try:
-        import meshio
-    except ImportError as error:
-        why = f"needs meshio, which cannot be imported ({error}): pip install meshio"
-        raise PgranError(f"{output.suffix} {why}") from None
-    from pgran.medium.space import mesh
-
-    if not hasattr(result, "medium"):
-        raise FileError(f"no balls in this result (scene {result.scene})")
-    if not result.medium.has_places:
-        raise FileError("the network has no positions: there is nothing to write in space")
-    points, lines, of_points, of_lines = mesh(result)
-    cell_data = {name: [values] for name, values in of_lines.items()}
-    made = meshio.Mesh(points, [("line", lines)], point_data=of_points, cell_data=cell_data)
-    with whole(output) as stream:
-        made.write(stream.name, file_format="vtu")
-    return [output]
+def _mode_numbers(text):
+    """Return the whole numbers of a list as 0,3,10:20."""
+    ends = [[int(end) for end in part.split(":")] for part in text.split(",")]
+    return [n for first, *last in ends for n in (range(first, *last) if last else [first])]
 
 
 def _write_packing(result, output):

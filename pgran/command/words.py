@@ -18,6 +18,7 @@ OPTION = re.compile(r"--?[A-Za-z][\w.-]*", re.ASCII)
 PLAIN = {
     "^argument ": "",
     "invalid int value: '(.*)'": r"\1 is no whole number",
+    "invalid _mode_numbers value: '(.*)'": r"\1 is no list of numbers as 0,3,10:20",
     "invalid float value: '(.*)'": r"\1 is no number",
 }
 

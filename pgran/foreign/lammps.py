@@ -1,11 +1,13 @@
 """A packing as LAMMPS takes it: a data file of atom_style sphere, and a script that reads it."""
 
+import itertools
 import re
 
 import numpy as np
 
 from pgran.errors import InputError
 from pgran.foreign.contacts import AXES
+from pgran.medium.space import in_space
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
 
 # By the power of the contact law: of the overlap alone, without a history of slips.
@@ -15,29 +17,42 @@ FLAT = 0.5  # half the thickness of a plane, in mean diameters
 SKIN = 0.3  # of the lists of neighbours, in mean diameters
 
 
-def data_file(network):
-    """Return the text of a data file: box, types, diameters, densities, positions, all digits."""
-    flat = 3 - network.position.shape[1]
-    position = np.pad(network.position, [(0, 0), (0, flat)])
-    room = 2 * network.radius.max()  # beyond the centres, where the box is not periodic
-    low, high = position.min(axis=0) - room, position.max(axis=0) + room
-    if flat:
-        high[2] = FLAT * 2 * network.radius.mean()
-        low[2] = -high[2]
-    periods = _periods(network)
-    low[: len(periods)][periods > 0] = 0.0
-    high[: len(periods)][periods > 0] = periods[periods > 0]
-    kinds = ", ".join(f"{kind + 1} {name}" for kind, name in TYPES.items())
-    lines = [f"A packing from pgran; atom types: {kinds}", ""]
-    lines += [f"{len(position)} atoms", f"{len(TYPES)} atom types", ""]
-    ends = zip(low.tolist(), high.tolist(), AXES, strict=True)
-    lines += [f"{first!r} {last!r} {x}lo {x}hi" for first, last, x in ends]
-    lines += ["", "Atoms # sphere", ""]  # id type diameter density x y z, of spheres in a plane too
-    density = network.masses / (4 / 3 * np.pi * network.radius**3)
-    columns = np.column_stack([2 * network.radius, density, position]).tolist()
-    for number, (kind, row) in enumerate(zip(network.held, columns, strict=True), 1):
-        lines.append(f"{number} {kind + 1} {' '.join(map(repr, row))}")
+def data_file(network, bonds=False):
+    """Return the text of a data file: box, types, diameters, densities, positions, all digits.
+
+    With `bonds` these are the contacts, for pictures: atom_style hybrid bond sphere, one molecule.
+    """
+    count, kinds = len(network.held), ", ".join(f"{n + 1} {name}" for n, name in TYPES.items())
+    lines = [f"A packing from pgran; atom types: {kinds}", "", f"{count} atoms"]
+    lines += [f"{network.bonds} bonds", "1 bond types"] * bonds + [f"{len(TYPES)} atom types", ""]
+    ends = zip(*box_of(network)[:2], AXES, strict=True)
+    lines += [f"{low!r} {high!r} {x}lo {x}hi" for low, high, x in ends]
+    density = network.masses / (4 / 3 * np.pi * network.radius**3)  # of spheres in a plane too
+    place, size = in_space(network.position), np.stack([2 * network.radius, density], axis=1)
+    row = [place, np.ones(count, int), size] if bonds else [size, place]
+    lines += ["", f"Atoms # {'hybrid bond sphere' if bonds else 'sphere'}", ""]
+    lines += numbered(network.held + 1, *row)
+    if bonds:
+        lines += ["", "Bonds", "", *numbered(np.ones(network.bonds, int), network.bond + 1)]
     return "\n".join([*lines, ""])
+
+
+def numbered(*columns):
+    """Return lines of the numbers from 1 and of columns, shape (n,) or (n, d), with all digits."""
+    cells = [column.reshape(len(column), -1).tolist() for column in columns]
+    rows = enumerate(zip(*cells, strict=True), 1)
+    return [" ".join(map(str, itertools.chain([n], *row))) for n, row in rows]
+
+
+def box_of(network):
+    """Return lower and upper ends of a box around all balls, and where it is periodic: lists."""
+    position, periods = in_space(network.position), in_space(_periods(network))
+    radius = np.full(1, 0.5) if network.radius is None else network.radius
+    room = np.full(3, 2 * radius.max())  # beyond the centres, where the box is not periodic
+    room[network.position.shape[1] :] = FLAT * 2 * radius.mean()
+    low, high = position.min(axis=0) - room, position.max(axis=0) + room
+    ends = np.where(periods > 0, 0.0, low), np.where(periods > 0, periods, high)
+    return *(each.tolist() for each in ends), periods > 0
 
 
 def input_script(network, law, name):

@@ -61,15 +61,23 @@ def mesh(result):
         {name: values for name, values in data.items() if values is not None}
         for data in (of_points, of_lines)
     )
-    of_lines |= dict(_of_bonds(result))
-    for name, values, drive in _motions(result):
+    return in_space(network.position), network.bond, of_points, of_lines | dict(_of_bonds(result))
+
+
+def motions(result):
+    """Yield name, omega or time in words, and arrays of all balls for each motion that is stored.
+
+    These are displacements, "", (N,) if they are scalar, else (N, 3), and any "_rotation" (N, 3).
+    """
+    network = as_network(result.medium)
+    for name, fact, values, drive in _motions(result):
         moves = everywhere(network, values.reshape(1, -1), [drive])[0]
         axes = 1 if network.displacement == "scalar" else len(network.direction)
-        of_points[name] = moves[:, 0] if axes == 1 else in_space(moves[:, :axes])
+        arrays = {"": moves[:, 0] if axes == 1 else in_space(moves[:, :axes])}
         turned = moves[:, axes:]
         if turned.shape[1]:
-            of_points[f"{name}_rotation"] = np.pad(turned, ((0, 0), (3 - turned.shape[1], 0)))
-    return in_space(network.position), network.bond, of_points, of_lines
+            arrays["_rotation"] = np.pad(turned, ((0, 0), (3 - turned.shape[1], 0)))
+        yield name, fact, arrays
 
 
 def as_network(medium):
@@ -107,16 +115,16 @@ def _of_bonds(result):
 
 
 def _motions(result):
-    """Yield the names of displacements of all balls, those of the free ones, that of the drive."""
+    """Yield name, omega or time, displacements of free balls and of the drive for each motion."""
     modes, response, pulse = (getattr(result, x, None) for x in ("modes", "response", "pulse"))
     if modes is not None and modes.vector is not None:
-        for number, vector in enumerate(modes.vector, 1):
-            yield f"mode_{number:04}", result.medium.built.displacements(vector), 0.0
+        for n, (omega, vector) in enumerate(zip(modes.omega, modes.vector, strict=True), 1):
+            yield f"mode_{n:04}", f"{omega=!s}", result.medium.built.displacements(vector), 0.0
     if response is not None and response.field is not None:
-        for number, field in enumerate(response.field, 1):
-            yield f"response_{number:04}_real", field.real, 1.0
-            yield f"response_{number:04}_imag", field.imag, 0.0
+        for n, (omega, field) in enumerate(zip(response.omega, response.field, strict=True), 1):
+            yield f"response_{n:04}_real", f"{omega=!s}", field.real, 1.0
+            yield f"response_{n:04}_imag", f"{omega=!s}", field.imag, 0.0
     if pulse is not None and pulse.field is not None:
         walls = np.interp(pulse.field_time, pulse.time, pulse.wall)
-        for number, (field, wall) in enumerate(zip(pulse.field, walls, strict=True), 1):
-            yield f"field_{number:04}", field, wall
+        for n, (time, field) in enumerate(zip(pulse.field_time, pulse.field, strict=True), 1):
+            yield f"field_{n:04}", f"{time=!s}", field, walls[n - 1]
