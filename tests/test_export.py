@@ -300,7 +300,7 @@ def test_the_command(tmp_path, capsys):
     words = ["export", str(path), str(tmp_path / "a.xyz"), "--modes"]
     assert program.main([*words, "7,0:3"]) == 0
     assert (tmp_path / "a.xyz").read_text().count("omega=") == 4
-    for wrong, said in (("0:30", "no 24 among the 24, from 0"), ("7;0", "--modes: 7;0 is no list")):
+    for wrong, said in (("0:30", "24 is none of the 24 that"), ("7;0", "--modes: 7;0 is no list")):
         with pytest.raises(InputError, match=said):
             program.main([*words, wrong])
 

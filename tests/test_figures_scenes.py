@@ -206,6 +206,18 @@ def test_unstable_modes_are_at_negative_frequencies_and_none_is_lost():
         assert note(page).endswith("NOT SHOWN: 3 unstable modes")
 
 
+@pytest.mark.parametrize(("size", "scale"), [(90, "log"), (20, "linear")])
+def test_modes_of_a_wide_range_have_logarithmic_axes(size, scale):
+    """Bins of equal ratios, which lose no mode."""
+    ax, _ = drawn(modes.density, find_modes((size,)))
+    values, edges, _ = ax.patches[0].get_data()
+    assert np.sum(values * np.diff(edges)) == pytest.approx(1)
+    assert np.ptp(np.diff(np.log(edges) if scale == "log" else edges)) == pytest.approx(0)
+    points, _ = drawn(modes.participation, find_modes((size,)))
+    assert {ax.get_xscale(), ax.get_yscale(), points.get_xscale()} == {scale}
+    assert ax.get_ylim()[0] < values[values > 0].min()
+
+
 def test_weyls_law_is_drawn_where_bonds_are_equal():
     random, equal = count_modes(), count_modes(uniform_lattice((9, 8), mass=0.25))
     assert not labels(drawn(density.staircase, random)[0])

@@ -20,8 +20,9 @@ from pgran.command.resolve import SCENES, resolve
 from pgran.driven.accuracy import Accuracy
 from pgran.errors import InputError
 from pgran.experiments.structure import figures
-from pgran.experiments.structure.scene import Waves, fitted, ioffe_regel, spectrum
+from pgran.experiments.structure.scene import fitted, ioffe_regel, spectrum
 from pgran.medium import crystals
+from pgran.medium.waves import Waves
 from pgran.run.options import read_words
 from pgran.store.record import Result
 
@@ -136,6 +137,38 @@ def test_which_waves_there_are():
     assert [len(group) for group in cube.first(3, "all")] == [3, 6, 4]
     given = cube.given(cube.unit * np.array([[2, 0, 0], [0, 1, 0]]))
     assert [wave.tolist() for (wave,) in given] == [[0, 1, 0], [2, 0, 0]]
+
+
+@pytest.mark.parametrize("shape", [(9,), (6, 5)])
+def test_wave_numbers_of_a_uniform_lattice_are_those_of_its_standing_waves(shape):
+    """All of each mode is one of them, omega^2 = 4 k / m sum sin^2(q / 2)."""
+    lattice = uniform_lattice(shape)
+    modes = pgran.find_modes(lattice, shapes=True)
+    k, branch, share = modes.wave_numbers(lattice)
+    q = np.pi * (np.indices(shape).reshape(len(shape), -1).T + 1) / (np.array(shape) + 1)
+    exact = np.sqrt(4 * 0.25 * np.sum(np.sin(q / 2) ** 2, axis=1))
+    order = np.argsort(exact)
+    assert modes.omega == pytest.approx(exact[order])
+    assert k == pytest.approx(np.linalg.norm(q, axis=1)[order])
+    assert share == pytest.approx(1)
+    assert set(branch) == {"scalar"}
+    with pytest.raises(InputError, match="no shapes"):
+        pgran.find_modes(lattice).wave_numbers(lattice)
+    free = dataclasses.replace(lattice, free=("x-", "x+", "y-", "y+")[: 2 * len(shape)])
+    with pytest.raises(InputError, match="no periods and no walls"):
+        modes.wave_numbers(free)
+
+
+def test_low_modes_of_a_dense_packing_run_at_the_speeds_of_sound():
+    packing = pgran.without_rattlers(pgran.pack(200, pressure=0.2, seed=1))[0]
+    modes, sound = pgran.find_modes(packing, shapes=True).moving(packing), pgran.sound(packing)
+    k, branch, share = modes.wave_numbers(packing)
+    for name in ("transverse", "longitudinal"):
+        first = np.flatnonzero((branch == name) & (share > 0.4))[:4]
+        speed = modes.omega[first] / k[first] / getattr(sound, name).speed
+        assert len(first) == 4
+        assert speed == pytest.approx(1, abs=0.12)
+        assert speed.mean() == pytest.approx(1, abs=0.04)
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.1, np.linspace(0.01, 0.3, 80)])

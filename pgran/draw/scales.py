@@ -77,22 +77,30 @@ def limits(x):
     return np.min(x) - margin, np.max(x) + margin
 
 
-def frequencies(ax, x, quantity=FREQUENCY, within=(-np.inf, np.inf), aside=0.0):
+def wide(x):
+    """Return whether positive numbers span more than a decade and a half."""
+    return 0 < 10**1.5 * np.min(x) < np.max(x)
+
+
+def frequencies(ax, x, quantity=FREQUENCY, within=(-np.inf, np.inf), aside=0.0, log=False):
     """Make an axis one of the frequencies `x`, in units of omega_mx, which is a dotted line.
 
     Only those `within` two ends are shown, and `aside` of them that part of the axis, which begins
     at 0 or above unless there are negative ones, of unstable modes. An axis of frequencies gets as
-    long as it must be.
+    long as it must be. It is logarithmic if `log`.
     """
     low, high = limits(x)
     low, high = low - aside * (high - low), high + aside * (high - low)
-    low = low if np.min(x) < 0 else max(low, 0.0)
+    low = low if np.min(x) < 0 else max(low, np.min(x) / 1.1 if log else 0.0)
     low, high = max(low, within[0]), min(high, within[1])
     if hasattr(ax.xaxis, "quantity"):
         low, high = min(low, ax.get_xlim()[0]), max(high, ax.get_xlim()[1])
     label(ax.xaxis, quantity)
+    if log:
+        ax.set_xscale("log")
+    else:
+        ax.xaxis.set_major_locator(round_ticks(ax.figure))
     ax.set_xlim(low, high)
-    ax.xaxis.set_major_locator(round_ticks(ax.figure))
     if low < 1 < high and not any(line.get_gid() == style.UNIT for line in ax.get_lines()):
         dots = {"color": style.MODE, "linewidth": 0.6, "linestyle": (0, (1, 2)), "zorder": 0.5}
         ax.axvline(1.0, gid=style.UNIT, **dots)

@@ -33,7 +33,7 @@ def write(result, output, modes):
         log.warning("no displacements in this result: -output_fields stores them")
     chosen = stored if modes is None else numbers("modes", modes, whole=True).ravel().tolist()
     for n in {*chosen} - {*stored}:
-        raise InputError(f"modes: no {n} among the {len(stored)}, from 0, that are stored")
+        raise InputError(f"modes: {n} is none of the {len(stored)} that are stored, from 0 on")
     writer = _write_meshes if output.suffix.lower() in (".vtu", ".pvd") else _write_frames
     return writer(result, output, [(n, *stored[n]) for n in chosen])
 

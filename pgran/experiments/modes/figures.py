@@ -109,7 +109,7 @@ def participation(ax, modes, lattice, **look):
 
 def participation_axes(ax, x, lattice):
     """Make axes those of participation ratios of modes at `x`, on the right of their shares."""
-    scales.frequencies(ax, x, scales.MODE_FREQUENCY, aside=ASIDE)
+    scales.frequencies(ax, x, scales.MODE_FREQUENCY, aside=ASIDE, log=scales.wide(x))
     top = ax.get_ylim()[1] if ax.get_yscale() == "log" else 10  # of another result
     balls = lattice.free_balls
     ax.set(yscale="log", ylim=(0.8, max(1.25 * balls, top)))
@@ -137,8 +137,8 @@ def resonances(ax, modes, lattice):
 
 
 def density(ax, modes, lattice, edges=None, level=None, **look):
-    r"""Density of the normal modes per ball and $\omega_{mx}$; its area is the share of the modes
-    that are shown; bars: square roots of the counts.
+    r"""Density of the normal modes per ball and $\omega_{mx}$; on linear axes its area is the share
+    of the modes that are shown; bars: square roots of the counts.
 
     See `figures_density.histogram`.
     """
@@ -150,10 +150,13 @@ def density(ax, modes, lattice, edges=None, level=None, **look):
 def bin_edges(x, count=None):
     """Return the edges of about as many bins as there are modes in one, from end to end.
 
-    Or for a `count` of modes. 0 is one of them where some are unstable.
+    Or for a `count` of modes. 0 is one of them where some are unstable; those of a `wide` range are
+    at equal ratios.
     """
     count, low, high = count or np.count_nonzero(np.isfinite(x)), np.nanmin(x), np.nanmax(x)
     bins = min(60, max(4, round(math.sqrt(count))))
+    if scales.wide((low, high)):
+        return np.geomspace(low, high, bins // 2 + 1)
     if low >= 0 or high <= 0:
         return np.linspace(low, high, bins + 1)
     below = min(max(1, round(-low / (high - low) * bins)), bins - 1)

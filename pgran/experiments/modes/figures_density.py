@@ -10,6 +10,7 @@ from pgran.store.estimate import counted
 
 LAW = {"color": style.UNRESOLVED, "linestyle": "--"}
 DEBYE = "long waves (Debye), by statics"
+LEAST = 1e-4  # of the largest density: what rounding may leave of a mean less its error
 BINS = 24  # at most, evenly in the logarithm of the frequency
 
 
@@ -60,47 +61,53 @@ def density(ax, density, lattice, level=None):
     return histogram(ax, x, counts, lattice, scales.ANY_FREQUENCY, level)
 
 
-def histogram(ax, edges, counts, lattice, quantity=scales.MODE_FREQUENCY, level=None, **look):
-    """Draw the density of modes per ball that are counted between edges.
+def histogram(ax, edges, counts, lattice, quantity=scales.MODE_FREQUENCY, level=None, d=1, **look):
+    """Draw the density of modes per ball that are counted between edges, over x^(d-1).
 
     Without a look of its own it is filled, and has counting errors; with Debye's law at the `level`
     of `debye`.
     """
-    share = lattice.free_balls * np.diff(edges)
+    # between edges Debye's x^(d-1) has the integral (high^d - low^d) / d
+    share = lattice.free_balls * np.diff(edges**d) / d
     values = counts / share
     if not look:
         ax.stairs(values, edges, fill=True, color=style.pale(style.ACCENT))
         bars = {"linestyle": "none", "ecolor": style.ACCENT, "elinewidth": 0.6}
         ax.errorbar(0.5 * (edges[1:] + edges[:-1]), values, np.sqrt(counts) / share, **bars)
     outline = ax.stairs(values, edges, **look or {"edgecolor": style.ACCENT})
-    density_axes(ax, edges, quantity)
+    density_axes(ax, edges, quantity, log=d > 1 or None)
     if level is not None:
-        d, x = dimension(lattice), np.linspace(max(edges[0], 0.0), edges[-1], 200)
-        x = x[level * x ** (d - 1) <= ax.get_ylim()[1]]
-        ax.plot(x, level * x ** (d - 1), label=DEBYE, scaley=False, **LAW)
+        x = np.linspace(max(edges[0], 0.0), edges[-1], 200)
+        law = level * x ** (dimension(lattice) - d)
+        shown = law <= ax.get_ylim()[1]
+        ax.plot(x[shown], law[shown], label=DEBYE, scaley=d > 1, **LAW)
     return outline
 
 
-def density_axes(ax, edges, quantity=scales.MODE_FREQUENCY):
-    """Make axes those of a density of modes between edges."""
+def density_axes(ax, edges, quantity=scales.MODE_FREQUENCY, log=None):
+    """Make axes those of a density of modes between edges, logarithmic ones if these are `wide`."""
     scales.label(ax.yaxis, scales.DENSITY)
-    scales.frequencies(ax, edges, quantity)
+    log = scales.wide(edges) if log is None else log
+    scales.frequencies(ax, edges, quantity, log=log)
+    ax.set_yscale("log" if log else "linear")
     ax.autoscale(axis="y")  # of another result, too
-    ax.set_ylim(bottom=0)
+    least, top = 0.5 * ax.dataLim.minposy, ax.get_ylim()[1]
+    ax.set_ylim(bottom=max(least, LEAST * top) if log else 0)
 
 
 def debye(lattice):
-    """Return the density of long waves per ball over x^(d-1), x in units of omega_mx, if known.
+    """Return the density of long waves per ball over x^(d-1), x in units of omega_mx, if known."""
+    found = sound_of(lattice)
+    part = found and found.balls / lattice.free_balls  # rattlers carry no waves
+    return found and part * found.debye(lattice.omega_mx) * lattice.omega_mx
 
-    That needs their speeds, `pgran.sound`, which networks with walls have not.
-    """
+
+def sound_of(lattice):
+    """Return `pgran.sound` of a medium, None where it is not known, as in networks with walls."""
     from pgran.medium.statics import sound
 
     with contextlib.suppress(PgranError):
-        found = sound(lattice.built)
-        part = found.balls / lattice.free_balls  # rattlers carry no waves
-        return part * found.debye(lattice.omega_mx) * lattice.omega_mx
-    return None
+        return sound(lattice.built)
 
 
 def dimension(lattice):
@@ -124,21 +131,8 @@ def reduced(ax, edges, counts, lattice, level=None):
 
     `edges`, in units of omega_mx, are those of the `counts` of modes, `level` is as of `debye`.
     """
-    d, some = dimension(lattice), counts > 0
-    # between edges Debye's x^(d-1) has the integral (high^d - low^d) / d
-    volumes = lattice.free_balls * np.diff(edges**d)[some] / d
-    values, errors = counts[some] / volumes, np.sqrt(counts[some]) / volumes
-    middle = (0.5 * (edges[1:] + edges[:-1]))[some]
-    look = {"color": "black", "marker": ".", "linestyle": "none", "elinewidth": 0.6}
-    points = ax.errorbar(middle, values, errors, **look)
-    scales.frequencies(ax, middle, scales.MODE_FREQUENCY)
-    if level is not None:
-        ax.axhline(level, label=DEBYE, **LAW)
-        values = np.append(values, level)
-    ax.set(xscale="log", xlim=(edges[edges > 0][0], edges[-1]))
-    ax.set(yscale="log", ylim=(0.5 * values.min(), 2 * values.max()))
-    for axis in (ax.xaxis, ax.yaxis):
-        scales.convert(axis, 1.0)  # which has ticks at 1, 2, 5 where there is one power of ten
+    d, first = dimension(lattice), np.argmax(edges > 0)
+    drawn = histogram(ax, edges[first:], counts[first:], lattice, level=level, d=d)
     over = ["", r"/(\omega_i/\omega_{mx})", r"/(\omega_i/\omega_{mx})^2"][d - 1]
     ax.set_ylabel(rf"$D(\omega_i){over}$ per ball and $\omega_{{mx}}$")
-    return points
+    return drawn

@@ -181,6 +181,19 @@ class Modes(Counted, Record):
         with np.errstate(divide="ignore", invalid="ignore"):
             return 2 * np.abs(self.residue) / self.width[:, None]
 
+    def wave_numbers(self, medium):
+        """Return k_i, branch and share of what waves each mode of this medium is made of most.
+
+        Modes need a `vector`. c_i = omega_i / k_i. k_i is known to about pi / L in a period L; the
+        share is 1 of a mode that is a wave, and small where it is none.
+        """
+        from pgran.medium.waves import Waves
+
+        if self.vector is None:
+            raise InputError("wave numbers: no shapes of the modes; -output_fields, shapes=True")
+        medium = getattr(medium, "built", medium)
+        return Waves(medium).strongest(self.vector.reshape(len(self.omega), -1))
+
     def moving(self, lattice):
         """Return these modes without those at rest, of the `lattice` or of a network itself."""
         here = np.abs(self.omega) > least_frequency(lattice)
