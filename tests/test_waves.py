@@ -19,9 +19,11 @@ import pgran
 from pgran.command.resolve import SCENES, resolve
 from pgran.driven.accuracy import Accuracy
 from pgran.errors import InputError
+from pgran.experiments.modes.figures import speeds
 from pgran.experiments.structure import figures
 from pgran.experiments.structure.scene import fitted, ioffe_regel, spectrum
 from pgran.medium import crystals
+from pgran.medium.base import record_of
 from pgran.medium.waves import Waves
 from pgran.run.options import read_words
 from pgran.store.record import Result
@@ -152,6 +154,8 @@ def test_wave_numbers_of_a_uniform_lattice_are_those_of_its_standing_waves(shape
     assert k == pytest.approx(np.linalg.norm(q, axis=1)[order])
     assert share == pytest.approx(1)
     assert set(branch) == {"scalar"}
+    (points, *_) = lines(draw(speeds, modes, record_of(lattice)), marker=".")
+    assert points.get_ydata() == pytest.approx(modes.omega / k / lattice.omega_mx)
     with pytest.raises(InputError, match="no shapes"):
         pgran.find_modes(lattice).wave_numbers(lattice)
     free = dataclasses.replace(lattice, free=("x-", "x+", "y-", "y+")[: 2 * len(shape)])

@@ -37,6 +37,7 @@ IN_WORDS = ANY_FREQUENCY._replace(own=r"$\omega_{mx}$")
 TIME_IN_WORDS = TIME._replace(own=r"$\omega_{mx}^{-1}$")
 SLOPE = Quantity("slope of the phase", r"rad/$\omega_{mx}$", "rad/Hz", -1)
 VELOCITY = Quantity("phase velocity", r"$d\,\omega_{mx}$", "m/s", 1)
+MODE_SPEED = Quantity(r"$c_i = \omega_i/k_i$", r"(length $\omega_{mx}$)", "m/s", 1)
 PLACES = [Quantity(f"${name}$", unit="m") for name in "xyz"]
 
 

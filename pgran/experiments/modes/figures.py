@@ -1,12 +1,14 @@
 """The figures of normal modes: shapes, participation, density (paper: modepic)."""
 
+import contextlib
 import math
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from pgran.draw import balls, captions, marks, scales, style
-from pgran.errors import FileError
+from pgran.errors import FileError, InputError
 from pgran.experiments.modes import figures_density as counts
 from pgran.experiments.modes.record import exactness
 from pgran.store.estimate import counted
@@ -14,6 +16,7 @@ from pgran.store.estimate import counted
 ASIDE = 0.02  # of an axis: room beside points
 AROUND_MIDDLE = 0.05  # omega_mx: modes around the middle one that is pictured
 MODES_OF_A_DENSITY = 20  # modes that have a density
+WAVES, LARGEST = 1000, 1e10  # modes that take as long as waves do; work of some seconds
 LEAST_PEAK = 1e-10  # of the largest peak: fainter ones are not drawn
 
 
@@ -29,6 +32,10 @@ def figures(result, **_):
         picked = pick(record.omega / lattice.omega_mx, record.participation)
         panels = [partial(shape, mode=mode, **both) for mode in picked]
         made["shapes"] = balls.motions(lattice, panels, style.caption_of(shape))
+        work = (len(record.omega) + WAVES) * record.vector[0].size ** 2
+        with contextlib.suppress(InputError):  # no waves fit
+            if np.any(record.omega > 0) and work < LARGEST:
+                made["speeds"] = style.single(speeds, **both)
     made["participation"] = style.single(participation, **both)
     if record.residue is not None and np.any(record.width):
         made["resonances"] = style.single(resonances, **both)
@@ -42,7 +49,7 @@ def figures(result, **_):
     unstable = counted(np.count_nonzero(record.omega < 0), "unstable mode")
     for name, figure in made.items():
         figure.caption += f" Left out: {counted(left, 'mode')} at rest." * (left > 0)
-        if np.any(record.omega < 0) and name == "reduced":
+        if np.any(record.omega < 0) and name in ("reduced", "speeds"):
             style.note(figure, f"NOT SHOWN: {unstable}")
         elif np.any(record.omega < 0):
             figure.caption += rf" At $\omega_i = -\sqrt{{-\omega_i^2}}$: {unstable}."
@@ -94,6 +101,25 @@ def pick(x, participation):
     usual = np.median(participation[near])
     middle = near[np.abs(participation[near] - usual).argmin()]
     return sorted({1, int(middle), int(np.abs(x - 1.0).argmin())})
+
+
+def speeds(ax, modes, lattice):
+    r"""Speed $c_i = \omega_i/k_i$ of stable normal modes, $k_i$ that of the waves of which each is
+    made most; broken: sound by statics, if it is known.
+    """
+    stable = modes.omega > 0
+    modes = replace(modes, omega=modes.omega[stable], vector=modes.vector[stable])
+    x, (k, branches, _) = modes.omega / lattice.omega_mx, modes.wave_numbers(lattice)
+    known = counts.sound_of(lattice)
+    for branch, colour in zip(np.unique(branches), style.COLOURS, strict=False):
+        some = branches == branch
+        ax.plot(x[some], x[some] / k[some], ".", label=branch, color=colour)
+        if known is not None:
+            speed = getattr(known, branch.replace("scalar", "longitudinal")).speed
+            ax.axhline(speed / lattice.omega_mx, linestyle="--", color=colour)
+    ax.set_yscale("log" if scales.wide(x / k) else "linear")
+    scales.label(ax.yaxis, scales.MODE_SPEED)
+    scales.frequencies(ax, x, scales.MODE_FREQUENCY, aside=ASIDE, log=scales.wide(x))
 
 
 def participation(ax, modes, lattice, **look):
