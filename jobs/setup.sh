@@ -191,6 +191,17 @@ ACTIVATE
   [ -z "$complete" ] || touch "$venv/complete" # else the next call tries again
 }
 
+# OVITO's own reader, which reads what is exported: 500 MB that users of pgran do without. Where it
+# cannot be had its tests are skipped.
+install_ovito() { # called by jobs/test.sh alone
+  python -c "import ovito.io" 2>/dev/null && return
+  say "installing OVITO for the tests ..."
+  local packages=(libegl1 libgl1 libglib2.0-0 libxkbcommon0 libfontconfig1 libdbus-1-3 libx11-6 libgssapi-krb5-2)
+  ! can_install || install_packages || true
+  python -m pip install -q --only-binary :all: ovito==3.17.2 && python -c "import ovito.io" ||
+    say "OVITO cannot be had: its tests are skipped"
+}
+
 if [ ! -e "$venv/complete" ] || [ pyproject.toml -nt "$venv/complete" ] || [ jobs/setup.sh -nt "$venv/complete" ]; then
   python='' wheel=''
   if [ -z "${PGRAN_STACK:-}" ]; then

@@ -24,19 +24,8 @@ on_one_rank() (
   exit $failed
 )
 
-# OVITO's own reader, which reads what is exported: 500 MB that users of pgran do without. Where it
-# cannot be had its tests are skipped.
-ovito() {
-  python -c "import ovito.io" 2>/dev/null && return
-  say "installing OVITO for the tests ..."
-  packages=(libegl1 libgl1 libglib2.0-0 libxkbcommon0 libfontconfig1 libdbus-1-3 libx11-6 libgssapi-krb5-2)
-  ! can_install || install_packages || true
-  python -m pip install -q --only-binary :all: ovito==3.17.2 && python -c "import ovito.io" ||
-    say "OVITO cannot be had: its tests are skipped"
-}
-
 if [ -n "${PGRAN_STACK:-}" ]; then
-  ovito
+  install_ovito
   on_one_rank "$@"
   exit
 fi
