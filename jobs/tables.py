@@ -1,8 +1,12 @@
-"""The tables of the pages on options, solvers and files, as `bash jobs/manual.sh` writes them."""
+"""What ends pages on options, solvers, files and results, as `bash jobs/manual.sh` writes it."""
 
+import dataclasses
+import inspect
 import re
+import textwrap
 from pathlib import Path
 
+from pgran.catalogue import RECORDS, record_kind
 from pgran.command.listing import HEADINGS, OPTIONS_FILES, heading_of
 from pgran.command.resolve import SCENES, options_of, scene_option
 from pgran.run.keys import SOLVERS
@@ -50,10 +54,34 @@ def files():
         yield ""
 
 
-TABLES = {"options": options, "solvers": solvers, "files": files}
+def results():
+    """Yield what each group of a result holds: the docstrings and declarations of its record."""
+    for kind in map(record_kind, RECORDS):
+        yield from _group(kind, f"/{kind.group}")
+
+
+def _group(kind, name):
+    """Yield a group as a block of lines of at most 100 characters, and then those within it."""
+    yield from (f"## {name}", "", "```text", *inspect.getdoc(kind).splitlines(), "")
+    parts = [item for item in dataclasses.fields(kind) if "part" in item.metadata]
+    own = [item for item in dataclasses.fields(kind) if item not in parts]
+    for item in sorted(own, key=lambda item: "axes" not in item.metadata):  # arrays first
+        said = item.metadata
+        axes = ", ".join(said.get("along", ()) or said.get("axes", ()))
+        facts = ["attribute" * ("axes" not in said), f"({axes})" * bool(axes)]
+        facts += [{str: "text", complex: "complex"}.get(said.get("dtype"), "")]
+        facts = ", ".join(filter(None, [*facts, said["units"] * (said["units"] != "1")]))
+        text = f"{item.name + '*' * said['optional']:<26}{said['long_name']} [{facts}]"
+        yield from textwrap.wrap(text.replace(" []", ""), 100, subsequent_indent=" " * 26)
+    yield from ("```", "")
+    for inner in (item.metadata["part"] for item in parts):
+        yield from _group(inner, f"{name}/{inner.group}")
+
+
+TABLES = {"options": options, "solvers": solvers, "files": files, "results": results}
 
 if __name__ == "__main__":
-    for name, lines in TABLES.items():
-        page = MANUAL / f"{name}.md"
-        text, _, _ = page.read_text().partition("\n| ")
-        page.write_text("\n".join([text, *lines()]).strip() + "\n")
+    for name, table in TABLES.items():
+        page, lines = MANUAL / f"{name}.md", [*table()]
+        text, _, _ = page.read_text().partition(f"\n{lines[0]}\n")
+        page.write_text("\n".join([text, *lines]).strip() + "\n")

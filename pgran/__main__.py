@@ -34,7 +34,7 @@ COMMANDS = {
     "units": ("--diameter M ...", "say what its numbers are in SI units", "units.run"),
     "sound": ("FILE", "compute the speeds of long waves, by statics", "sound.run"),
     "options": ("[SCENE]", "list every option", "listing.list_options"),
-    "manual": ("[TOPIC]", "show a page of the manual, or list them", "manual.run"),
+    "manual": ("[WORD]", "show a page of the manual, or what holds a word", "manual.run"),
     "doctor": ("", "say what is installed, and what is wrong", "doctor.examine"),
     "cite": ("", "say how to cite pgran", "manual.cite"),
 }

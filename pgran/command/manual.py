@@ -11,19 +11,27 @@ from pgran.errors import DONE, InputError
 
 PAGES = Path(__file__).parents[1] / "manual"
 LISTED = re.compile(r"- \[(\w+)\]\(\1\.md\): (.+)")
+SECTION = re.compile(r"^##? ([A-Z/].*)\n((?:(?!^##? [A-Z/]).*\n)*)", re.MULTILINE)
+FEW = 8  # places of a word that are shown
 HIDDEN = re.compile(r"<!--.*?-->\n?", re.DOTALL)  # as on a forge
 
 
 def run(words):
-    """Show a page of the manual, in a pager on a terminal; without a topic list the topics."""
-    parser = Parser("manual", run.__doc__, "pgran manual", "pgran manual accuracy")
-    parser.add_argument("topic", metavar="TOPIC", nargs="?", help="a page; pgran manual lists them")
-    topic = parser.read(words).topic
-    if topic is None:
-        print("pgran manual TOPIC shows one of these:\n")
+    """Show a page of the manual, in a pager on a terminal, or where its pages hold a word.
+
+    Without one it lists the pages.
+    """
+    examples = "pgran manual", "pgran manual accuracy", "pgran manual phase velocity"
+    parser = Parser("manual", run.__doc__, *examples)
+    parser.add_argument("words", metavar="WORD", nargs="*", help="a page, or words to look for")
+    sought = " ".join(parser.read(words).words)
+    if not sought:
+        print("pgran manual PAGE shows one of these, pgran manual WORD where they hold a word:\n")
         print("".join(f"  {name:<12} {line}\n" for name, line in topics().items()), end="")
+    elif sought in topics():
+        pydoc.pager(page(sought))
     else:
-        pydoc.pager(HIDDEN.sub("", page(topic)))
+        print("\n".join(found(sought)))
     return DONE
 
 
@@ -41,9 +49,31 @@ def topics():
 
 def page(topic):
     """Return a page of the manual, Markdown."""
-    if topic not in topics():
-        about = (name for name, line in topics().items() if topic.lower() in line.lower())
-        near = nearest(topic, topics()) or next(about, None)
-        hint = f"see {near}" if near else "pgran manual lists the topics"
-        raise InputError(f"manual: there is no topic {topic}; {hint}")
-    return (PAGES / f"{topic}.md").read_text(encoding="utf-8")
+    return HIDDEN.sub("", (PAGES / f"{topic}.md").read_text(encoding="utf-8"))
+
+
+def found(sought):
+    """Yield the sections that hold all words sought, best first, with the line that holds most."""
+    words, places = sought.lower().split(), []
+    for name in topics():
+        for heading, text in SECTION.findall(page(name)):
+            if all(word in f"{heading} {text}".lower() for word in words):
+                lines = [line for line in text.splitlines() if line and "```" not in line]
+                line = max(lines, key=lambda line: _held(words, line), default="")
+                at = line.lower().find(words[0])
+                rank = _held(words, heading), _held(words, line), 0 <= at < 5, _held(words, text)
+                begin = 0 if at < 60 else line.rfind(" ", 0, at - 30) + 1
+                places.append((rank, f"{name}: {heading}\n    {line[begin : begin + 96].strip()}"))
+    if not places:
+        near = nearest(sought, topics())
+        hint = f"see {near}" if near else "pgran manual lists the pages"
+        raise InputError(f"manual: no page is, or holds, {sought}; {hint}")
+    places.sort(key=lambda place: place[0], reverse=True)
+    yield from (place for _, place in places[:FEW])
+    if len(places) > FEW:
+        yield f"and {len(places) - FEW} sections more"
+
+
+def _held(words, text):
+    """Return how often a text holds words."""
+    return sum(text.lower().count(word) for word in words)

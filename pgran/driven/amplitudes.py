@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.store.estimate import counted
+from pgran.store.record import attribute
 
 # Where the curve stays within this part of the amplitude of the straight line between two points,
 # its phase turns as that line's does.
@@ -25,12 +26,12 @@ class Limits:
     `damping` and `mass`; |f(s)|_2 is at most drive + |s| drive_damping.
     """
 
-    stability: float
-    stiffness: float
-    damping: float
-    mass: float
-    drive: float
-    drive_damping: float
+    stability: float = attribute("lambda_min(C)", "sqrt(k m)")
+    stiffness: float = attribute("bound of the norm of |K|", "k")
+    damping: float = attribute("bound of the norm of |C|", "sqrt(k m)")
+    mass: float = attribute("bound of the norm of |M|", "m")
+    drive: float = attribute("|f(s)| <= drive + |s| drive_damping", "k")
+    drive_damping: float = attribute("see drive", "sqrt(k m)")
 
 
 def is_accurate(bound, amplitude, tolerance):

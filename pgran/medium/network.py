@@ -9,7 +9,7 @@ stays symmetric.
 import dataclasses
 import hashlib
 import logging
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -32,20 +32,19 @@ class NetworkRecord(Record):
     """The network a result belongs to: N balls, nb contacts, laid out like a network's own file.
 
     Arrays of `balls` in other records have the components of its free balls one after the other.
-    What its arrays are, their types and axes, is declared here alone.
     """
 
     group = "network"
-    displacement: str
-    damped: str
-    component: str
-    damping: float
-    kmax: float
-    median_mass: float = attribute(since=5)
-    omega_mx: float
-    unknowns: int
-    bonds_sha256: str = field(metadata={"of_run": True})
-    direction: np.ndarray = attribute_array("drive_coordinate")
+    displacement: str = attribute("scalar, vector, or rotations as well")
+    damped: str = attribute("what dashpots act on: all of a relative velocity, or its normal part")
+    component: str = attribute("which component detectors read")
+    damping: float = attribute("beta, of every bond's dashpot", "sqrt(k m)")
+    kmax: float = attribute("the stiffness in omega_mx", "k")
+    median_mass: float = attribute("the mass in omega_mx", "m", since=5)
+    omega_mx: float = attribute("sqrt(2 d kmax / m)", "sqrt(k/m)")
+    unknowns: int = attribute("displacements of all free balls, and rotations", "1")
+    bonds_sha256: str = attribute("checksum of the network", of_run=True)
+    direction: np.ndarray = attribute_array("that of the drive", "1", "drive_coordinate")
     bond: np.ndarray = array("balls of the contacts", "1", "contact", "end", dtype=int)
     stiffness: np.ndarray = array("constants of the contacts", "k", "contact")
     held: np.ndarray = array("0: free, 1: at rest, 2: driven", "1", "ball", dtype=int)
@@ -58,8 +57,8 @@ class NetworkRecord(Record):
         "from the first ball of a contact to the second, of length 1",
         "1", "contact", "coordinate", optional=True,
     )  # fmt: skip
-    distance: np.ndarray | None = array("of the centres", "1", "contact", optional=True)
-    force: np.ndarray | None = array("repulsive force", "k", "contact", optional=True)
+    distance: np.ndarray | None = array("distance of the centres", "1", "contact", optional=True)
+    force: np.ndarray | None = array("force that repels", "k", "contact", optional=True)
     tangential: np.ndarray | None = array(
         "constants of tangential springs", "k", "contact", optional=True
     )
@@ -67,17 +66,17 @@ class NetworkRecord(Record):
         "force on each ball, which drives instead of held balls", "k", "ball", "drive_coordinate",
         optional=True,
     )  # fmt: skip
-    dashpot: np.ndarray | None = array("part of the damping", "1", "contact", optional=True)
+    dashpot: np.ndarray | None = array("multiple of damping", "1", "contact", optional=True)
     tangential_dashpot: np.ndarray | None = array(
-        "part of the damping along tangents", "1", "contact", optional=True
+        "multiple of damping along tangents", "1", "contact", optional=True
     )
-    drag: np.ndarray | None = array("alpha of the balls", "sqrt(k/m)", "ball", optional=True)
-    loss: np.ndarray | None = array("eta of the contacts", "1", "contact", optional=True)
-    damping_power: float | None = attribute(optional=True)
-    damping_reference: float | None = attribute(optional=True)
-    power: float | None = attribute(optional=True)
-    box: np.ndarray | None = attribute_array("coordinate", optional=True)
-    gravity: np.ndarray | None = attribute_array("coordinate", optional=True)
+    drag: np.ndarray | None = array("alpha of -alpha m v", "sqrt(k/m)", "ball", optional=True)
+    loss: np.ndarray | None = array("eta of k (1 + i eta)", "1", "contact", optional=True)
+    damping_power: float | None = attribute("p of dashpots beta (k / k_ref)^p", "1", optional=True)
+    damping_reference: float | None = attribute("k_ref of that law", "k", optional=True)
+    power: float | None = attribute("alpha of the contact law F = c h^alpha", "1", optional=True)
+    box: np.ndarray | None = attribute_array("periods, or 0", "length", "coordinate", optional=True)
+    gravity: np.ndarray | None = attribute_array("gravity", "force/m", "coordinate", optional=True)
 
     length = "lengths"
 

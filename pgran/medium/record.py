@@ -1,7 +1,7 @@
 """The record of the lattice that a result belongs to; `network` has that of networks."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,11 +15,11 @@ class LatticeRecord(Record):
     """The lattice a result belongs to."""
 
     group = "lattice"
-    shape: tuple[int, ...]
-    mass: float
-    damping: float
-    omega_mx: float
-    bonds_sha256: str = field(metadata={"of_run": True})  # an attribute of the whole file
+    shape: tuple[int, ...] = attribute("balls along each axis", "1")
+    mass: float = attribute("mass of a ball", "m")
+    damping: float = attribute("beta, of every bond's dashpot", "sqrt(k m)")
+    omega_mx: float = attribute("sqrt(2 d kmax / m)", "sqrt(k/m)")
+    bonds_sha256: str = attribute("checksum of the bond constants", of_run=True)
     stiffness_x: np.ndarray = array("constants of the bonds along x", "k", "bonds_x")
     stiffness_y: np.ndarray | None = array(
         "constants of the bonds along y", "k", "bonds_y", optional=True
@@ -33,11 +33,11 @@ class LatticeRecord(Record):
     push: np.ndarray | None = array(
         "force on each ball, which drives instead of the wall", "k", "balls", optional=True
     )
-    free: str | None = attribute(optional=True)  # sides without a wall, "y+,y-"
-    damping_power: float | None = attribute(optional=True)
-    damping_reference: float | None = attribute(optional=True)
-    drag: float | None = attribute(optional=True)
-    loss: float | None = attribute(optional=True)
+    free: str | None = attribute("sides without a wall, as y+,y-", optional=True)
+    damping_power: float | None = attribute("p of dashpots beta (k / k_ref)^p", "1", optional=True)
+    damping_reference: float | None = attribute("k_ref of that law", "k", optional=True)
+    drag: float | None = attribute("alpha of a drag -alpha m v", "sqrt(k/m)", optional=True)
+    loss: float | None = attribute("eta of springs k (1 + i eta)", "1", optional=True)
 
     length = "spacings"  # what distances are in
     has_places = True  # its balls, to be drawn at

@@ -25,19 +25,25 @@ KINDS = {
     "b": ("biu", "truth value"),
     "U": ("U", "text"),
 }
+ERROR = "its standard error"
 
 
-def attribute(since=1, optional=False, **said):
-    """Declare a plain value that files have since some version of their format, or may have."""
+def attribute(long_name, units="", since=1, optional=False, **said):
+    """Declare a plain value that files have since some version of their format, or may have.
+
+    What a file may have is None in a record unless it is given, by its name.
+    """
+    said |= {"long_name": long_name, "units": units}
     return dataclasses.field(
         metadata=said | {"since": since, "optional": optional},
         default=None if optional else dataclasses.MISSING,
+        kw_only=optional,
     )
 
 
-def attribute_array(*along, since=1, optional=False):
+def attribute_array(long_name, units, *along, since=1, optional=False):
     """Declare a short array of real numbers: an attribute of its group."""
-    return attribute(since, optional, along=along, dtype=float)
+    return attribute(long_name, units, since, optional, along=along, dtype=float)
 
 
 def array(long_name, units, *axes, dtype=float, since=1, optional=False, row=False):
@@ -47,11 +53,10 @@ def array(long_name, units, *axes, dtype=float, since=1, optional=False, row=Fal
     `optional` array may be missing in any. With `row` ranks compute it, one entry of the first axis
     after the other: see `row_of`.
     """
-    said = {"long_name": long_name, "units": units, "axes": axes, "dtype": dtype, "row": row}
-    return attribute(since, optional, **said)
+    return attribute(long_name, units, since, optional, axes=axes, dtype=dtype, row=row)
 
 
-def error_of(measured, meaning="its standard error"):
+def error_of(measured, meaning=ERROR):
     """Declare the error of an array that is declared, or a bound of it."""
     facts = measured.metadata
     same = {name: facts[name] for name in ("since", "optional", "row")}
@@ -239,8 +244,8 @@ FLOOR = "1: the bound is below error_floor, but not small against the amplitude"
 class Frequencies(Record):
     """What is computed at driving frequencies, of which those with a positive reason are good."""
 
-    factorizations: int
-    solve_seconds: float
+    factorizations: int = attribute("how many matrices were factored", "1")
+    solve_seconds: float = attribute("time of solving, of the slowest rank", "s")
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
     converged_reason: np.ndarray = array(
         "positive: as accurate as asked", "1", "omega", dtype=int, row=True

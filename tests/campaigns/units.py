@@ -35,25 +35,23 @@ DECADES = (
     (-30, -9, -12), (20, 6, 9), (-14, -5, 4), (-30, 3, 8), (-6, -3, -9), (9, 0, 9), (20, 4, -9),
     (-12, -10, 8),
 )  # fmt: skip
-# Units of plain values; arrays of records declare theirs.
+# Units of what media and tuples hold; records declare theirs.
 UNITS = {
     "k": "stiffness tangential kmax push damping_reference",
     "m": "mass masses median_mass",
     "sqrt(k m)": "damping",
-    "sqrt(k/m)": "drag omega omega_mx decay decay_error sigma pulse_omega first_mode absorption "
-    "absorption_error",
-    "sqrt(m/k)": "derivative derivative_bound arrival centre wall_arrival period pulse_width",
-    "length": "position distance radius box depth_low depth_high length length_error free_path "
-    "free_path_error overlap growth point size phase_velocity phase_velocity_error",
+    "sqrt(k/m)": "drag omega omega_mx",
+    "sqrt(m/k)": "derivative derivative_bound",
+    "length": "position distance radius box overlap",
     "force": "force",
     "force/m": "gravity",
     "length length": "volume",  # packings have two dimensions
     "m/length/length": "density",
     "length sqrt(k/m)": "speed affine slowest fastest",
-    "length length sqrt(k/m)": "diffusivity diffusivity_error",
 }  # fmt: skip
 UNIT = {name: words for words, names in UNITS.items() for name in names.split()}
-SAME = {"K0": "k", "spacing": "length", " x omega_mx": "", "force": "(k length)"}
+SAME = {"K0": "k", "spacing": "length", "force": "(k length)", "^": "**"}
+SAME |= dict.fromkeys((" x omega_mx", " per omega_mx"), "")
 LEFT_OUT = {"solve_seconds", "bonds_sha256", "models"}  # models are in a unit of their own
 NOT_COMPUTING = {
     "BondLaw", "InputError", "Lattice", "Network", "PgranError", "export", "load", "plot"
@@ -64,7 +62,7 @@ def factor(words, units):
     """Return the size of a unit such as `sqrt(k/m)/length`; 1 of `rad` or `steps`."""
     for name, meant in SAME.items():
         words = words.replace(name, meant)
-    words = re.sub(r"\b(rad|dB|s|cycles per step|steps per cycle|steps)\b", "1", words)
+    words = re.sub(r"\b(rad|dB|s|K|omega_mx|cycles per step|steps per cycle|steps)\b", "1", words)
     return eval(re.sub(r"(?<=[\w)]) (?=\w)", "*", words.split(";")[0]), {"sqrt": sqrt, **units})
 
 
@@ -187,11 +185,10 @@ def box(c, damping):
     """Return the response of a continuum."""
     units, size = c.units, c.length
     rate = sqrt(units["k"] / units["m"]) / size
-    found = pgran.continuum(
+    return pgran.continuum(
         rate * np.linspace(0.1, 20, 30), (0.4 * size, 0.6 * size), size=(size, 0.9 * size),
         mass=units["m"], stiffness=units["k"], damping=damping * units["k"] / rate,
     )  # fmt: skip
-    return dataclasses.replace(found, damping=found.damping / size)
 
 
 def curve(c):

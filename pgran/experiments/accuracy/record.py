@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.record import Record, array
+from pgran.store.record import Record, array, attribute
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -18,11 +18,11 @@ class Accuracy(Record):
     """
 
     group = "accuracy"
-    experiment: str
-    repeats: int
-    values: int
-    compared: int
-    reference_bound: float
+    experiment: str = attribute("the experiment that is repeated")
+    repeats: int = attribute("how often each is timed", "1")
+    values: int = attribute("amplitudes or modes of the experiment", "1")
+    compared: int = attribute("those that the reference is good enough for", "1")
+    reference_bound: float = attribute("relative error of the reference, at most", "1")
     label: np.ndarray = array("configuration: solver and tolerance", "1", dtype=str)
     solver: np.ndarray = array("solver, after its options file", "1", "label", dtype=str)
     tolerance: np.ndarray = array("accuracy asked for", "1", "label")

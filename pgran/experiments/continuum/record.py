@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.record import PHASE, Record, array
+from pgran.store.record import PHASE, Record, array, attribute
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -12,11 +12,11 @@ class ContinuumResponse(Record):
     """The exact response of the homogeneous box at one point (paper: axysol, exactpl)."""
 
     group = "continuum"
-    point: tuple[float, ...]
-    size: tuple[float, ...]
-    mass: float
-    stiffness: float
-    damping: float
+    point: tuple[float, ...] = attribute("where the amplitude is taken", "length")
+    size: tuple[float, ...] = attribute("extent of the box along each axis", "length")
+    mass: float = attribute("mass per area", "m")
+    stiffness: float = attribute("K0", "k")
+    damping: float = attribute("beta", "sqrt(K0 m) length")
     omega: np.ndarray = array("driving frequency, angular", "sqrt(K0/m)/length")
     displacement: np.ndarray = array(
         "amplitude relative to the driven wall, convention exp(+i omega t)",

@@ -94,9 +94,9 @@ class Ensemble(Record):
     """
 
     group = "ensemble"
-    of: str
-    solve_seconds: float
-    left_out: int
+    of: str = attribute("the experiment that is repeated")
+    solve_seconds: float = attribute("time of solving, of the slowest rank", "s")
+    left_out: int = attribute("samples that failed or missed their accuracy", "1")
     seed: np.ndarray = array("which sample", "1", dtype=int)
     good: np.ndarray = array("1: as accurate as asked", "1", "seed", dtype=np.int8, row=True)
     detector: Array = array(DETECTOR, "1", "detector_number", "axis", dtype=int, optional=True)
@@ -209,7 +209,7 @@ class NoiseStatistics(Record):
     """
 
     group = "statistics"
-    samples: int
+    samples: int = attribute("how many samples", "1")
     low: np.ndarray = array("lower end of the window, angular", "sqrt(k/m)", "window")
     high: np.ndarray = array("upper end of the window, angular", "sqrt(k/m)", "window")
     part: np.ndarray = array("part of the field A", "1", dtype=str)
@@ -251,8 +251,8 @@ class Transport(Record):
 
     group = "transport"
     REFUSED = 0.01
-    samples: int
-    first_mode: float = attribute(since=5)
+    samples: int = attribute("how many samples", "1")
+    first_mode: float = attribute("lowest mode of the first sample, angular", "sqrt(k/m)", since=5)
     depth: np.ndarray = array("distance from what is driven", "spacing")
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
     ln_amplitude: np.ndarray = array("mean of ln|A|", "1", *DEPTH)
@@ -272,8 +272,8 @@ class Transport(Record):
         "growth of the mean group delay of a band with depth", "sqrt(m/k)/spacing", "band", since=5
     )
     delay_growth_error: np.ndarray = error_of(delay_growth)
-    depth_low: float | None = attribute(optional=True)
-    depth_high: float | None = attribute(optional=True)
+    depth_low: float | None = attribute("lowest depth of the lines", "spacing", optional=True)
+    depth_high: float | None = attribute("highest depth of the lines", "spacing", optional=True)
     straightness: Array = array("p-value of that line", "1", "omega", optional=True)
     intensity_length: Array = array("that of the intensity", "spacing", "omega", optional=True)
     intensity_length_error: Array = error_of(intensity_length)
@@ -304,17 +304,17 @@ class Diffusion(Record):
 
     group = "diffusion"
     WRONG = 2.0  # misfit from which diffusion does not hold
-    samples: int
-    speed: float
-    diffusivity: float
-    diffusivity_error: float
-    absorption: float
-    absorption_error: float
-    length: float
-    length_error: float
-    free_path: float
-    free_path_error: float
-    misfit: float
+    samples: int = attribute("how many samples", "1")
+    speed: float = attribute("speed of the fronts, c", "spacing sqrt(k/m)")
+    diffusivity: float = attribute("D", "spacing^2 sqrt(k/m)")
+    diffusivity_error: float = attribute("its standard error", "spacing^2 sqrt(k/m)")
+    absorption: float = attribute("1/tau", "sqrt(k/m)")
+    absorption_error: float = attribute("its standard error", "sqrt(k/m)")
+    length: float = attribute("sqrt(D tau)", "spacing")
+    length_error: float = attribute("its standard error", "spacing")
+    free_path: float = attribute("transport mean free path, d D / c", "spacing")
+    free_path_error: float = attribute("its standard error", "spacing")
+    misfit: float = attribute("root mean square of residuals over their errors", "1")
     depth: np.ndarray = array("distance from what is driven", "spacing")
     time: np.ndarray = array("middle of a block of times", "sqrt(m/k)")
     mean_square: np.ndarray = array("mean of u^2 + (v / omega)^2", "1", "time", "depth")

@@ -20,7 +20,7 @@ class Green(Frequencies):
     """
 
     group = "green"
-    direction: np.ndarray = attribute_array("component")
+    direction: np.ndarray = attribute_array("of forces and displacements", "1", "component")
     source: np.ndarray = array(
         "indices of the balls that are pushed", "1", "source_number", "axis", dtype=int
     )

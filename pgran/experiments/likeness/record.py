@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.record import DETECTOR, Record, array, error_of
+from pgran.store.record import DETECTOR, Record, array, attribute, error_of
 
 EACH = "window", "detector_number", "signal"
 UNIT = "sqrt(k/m); of a pulse sqrt(m/k)"
@@ -21,11 +21,11 @@ class Likeness(Record):
     """
 
     group = "likeness"
-    of: str
-    label_a: str
-    label_b: str
-    omega_mx: float  # NaN: not known
-    reach: float
+    of: str = attribute("the scene of both: response or pulse")
+    label_a: str = attribute("what A is called")
+    label_b: str = attribute("what B is called")
+    omega_mx: float = attribute("that of A's medium; NaN: not known", "sqrt(k/m)")
+    reach: float = attribute("largest stretch that was tried", "1")
     signal: np.ndarray = array("u; ln|A| less its line, A over exp of it", "1", dtype=str)
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     low: np.ndarray = array("lower end of the window, angular frequency or time", UNIT, "window")

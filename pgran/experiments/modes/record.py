@@ -24,10 +24,10 @@ class Density(Record):
     """
 
     group = "density"
-    balls: int
-    omega_mx: float
-    solve_seconds: float
-    unstable: int = attribute(since=5)
+    balls: int = attribute("how many move freely", "1")
+    omega_mx: float = attribute("that of the medium", "sqrt(k/m)")
+    solve_seconds: float = attribute("time of solving, of the slowest rank", "s")
+    unstable: int = attribute("modes with omega^2 < 0; -1: not certain", "1", since=5)
     omega: np.ndarray = array("frequency, angular", "sqrt(k/m)")
     count: np.ndarray = array(
         "how many modes lie below; -1: not certain", "1", "omega", dtype=int, row=True
@@ -129,9 +129,9 @@ class Modes(Counted, Record):
     """
 
     group = "modes"
-    count_expected: int
-    count_certified: bool
-    solve_seconds: float
+    count_expected: int = attribute("how many modes there are", "1")
+    count_certified: bool = attribute("1: these are all, by their count or proven")
+    solve_seconds: float = attribute("time of solving, of the slowest rank", "s")
     omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
     residual: np.ndarray = array("|K f - m omega^2 f| / |K|", "1", "omega", row=True)
     participation: np.ndarray = array(
@@ -217,11 +217,11 @@ class DampedModes(Counted, Record):
     """
 
     group = "damped_modes"
-    complete: bool = attribute(long_name="whether these and all conj(s), conj(x) are all modes")
-    certificate: str = attribute(long_name="how sure it is that none is missing")
-    count_expected: int
-    count_certified: bool
-    solve_seconds: float
+    complete: bool = attribute("1: these and all conj(s), conj(x) are all modes")
+    certificate: str = attribute("how sure that is: discs, below, counted, proven, none")
+    count_expected: int = attribute("how many modes there are", "1")
+    count_certified: bool = attribute("1: these are all, by their count or proven")
+    solve_seconds: float = attribute("time of solving, of the slowest rank", "s")
     eigenvalue: np.ndarray = array("s", "sqrt(k/m)", "mode", dtype=complex, row=True)
     residual: np.ndarray = array("|S x| / ((|K| + |s C| + |s^2 m|) |x|)", "1", "mode", row=True)
     radius: np.ndarray = array(
@@ -314,8 +314,8 @@ class Projection(Counted, Frequencies, Record):
     """
 
     group, each_mode = "projection", "mode_omega"
-    count_expected: int
-    count_certified: bool
+    count_expected: int = attribute("how many modes there are", "1")
+    count_certified: bool = attribute("1: these are all, by their count or proven")
     mode_omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
     coefficient: np.ndarray = array(
         "sum over balls of amplitude times mode shape", "1", "omega", "mode_omega", dtype=complex,

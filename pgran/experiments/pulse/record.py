@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.record import DETECTOR, Record, array, attribute_array
+from pgran.store.record import DETECTOR, ERROR, Record, array, attribute, attribute_array
 
 BOUND = "bound of the error of the "
 ESTIMATE = "estimate of the error of the "
-SIGNALS = "time", "detector_number"  # axes
+HEARD = "detector_number"
+SIGNALS = "time", HEARD  # axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -19,27 +20,25 @@ class Signals(Record):
     square, has passed, NaN where errors leave that open, or it would be before the wall's own,
     `wall_arrival`. (Files before version 5: when a displacement first exceeds a tenth of its
     largest.) `centre` is the mean time, weighted by the square of the envelope, `decay` the rate at
-    which the envelope decays after it, with its standard error. The `method` is `laplace`, with
-    bounds of the errors, `sigma` and `period` those of the inverse transform and `solves` points on
-    its line; or `integrate`, with estimates, `solves` the steps of the last integration.
+    which the envelope decays after it, with its standard error.
     """
 
     group = "pulse"
-    shape: str
-    pulse_omega: float
-    pulse_width: float
-    method: str
-    sigma: float
-    period: float
-    solves: int
-    factorizations: int
-    solve_seconds: float
-    tolerance: float
-    wall_arrival: float
-    arrival: np.ndarray = attribute_array("detector_number")
-    centre: np.ndarray = attribute_array("detector_number")
-    decay: np.ndarray = attribute_array("detector_number")
-    decay_error: np.ndarray = attribute_array("detector_number")
+    shape: str = attribute("how the wall moves: gauss, ricker, burst, step, file")
+    pulse_omega: float = attribute("where its spectrum is largest, angular", "sqrt(k/m)")
+    pulse_width: float = attribute("standard deviation of the bell", "sqrt(m/k)")
+    method: str = attribute("laplace, with bounds of errors, or integrate, with estimates")
+    sigma: float = attribute("real part of s on the transform's line", "sqrt(k/m)")
+    period: float = attribute("period of the transform", "sqrt(m/k)")
+    solves: int = attribute("points on the line, or steps of the last integration", "1")
+    factorizations: int = attribute("how many matrices were factored", "1")
+    solve_seconds: float = attribute("time of solving, of the slowest rank", "s")
+    tolerance: float = attribute("relative accuracy asked for", "1")
+    wall_arrival: float = attribute("arrival of the wall's own motion", "sqrt(m/k)")
+    arrival: np.ndarray = attribute_array("arrival of the front", "sqrt(m/k)", HEARD)
+    centre: np.ndarray = attribute_array("mean time of the envelope", "sqrt(m/k)", HEARD)
+    decay: np.ndarray = attribute_array("rate of decay after that", "sqrt(k/m)", HEARD)
+    decay_error: np.ndarray = attribute_array(ERROR, "sqrt(k/m)", HEARD)
     time: np.ndarray = array("time", "sqrt(m/k)")
     wall: np.ndarray = array("displacement of the driven wall, or push over its size", "1", "time")
     force: np.ndarray = array("force on the driven wall, or of the push", "k", "time")

@@ -19,10 +19,10 @@ class Relaxation(Record):
     """
 
     group = "relaxation"
-    omega: float
-    factorizations: int
-    solve_seconds: float
-    drift: float
+    omega: float = attribute("driving frequency, angular", "sqrt(k/m)")
+    factorizations: int = attribute("how many matrices were factored", "1")
+    solve_seconds: float = attribute("time of solving, of the slowest rank", "s")
+    drift: float = attribute("largest relative difference where windows meet", "1")
     bond_axis: np.ndarray = array(
         "axis of the bond that changes", "1", "trajectory", "step", dtype=int
     )
@@ -37,7 +37,7 @@ class Relaxation(Record):
     )  # fmt: skip
     error_bound: np.ndarray = array(BOUND, "1", *STATES, since=2, row=True)
     at_floor: np.ndarray = array(FLOOR, "1", *STATES, dtype=np.int8, since=2)
-    step: float | None = attribute(optional=True)
+    step: float | None = attribute("how long a step takes", "s", optional=True)
 
     @property
     def amplitude(self):
@@ -61,13 +61,13 @@ class Spectrum(Record):
     """
 
     group = "spectrum"
-    exponent: float
-    exponent_error: float
-    exponent_plain: float
-    scale: float
-    fit_min: float
-    fit_max: float
-    segment: int
+    exponent: float = attribute("psi in scale / (2 sin(pi f))^psi", "1")
+    exponent_error: float = attribute("its standard error", "1")
+    exponent_plain: float = attribute("minus the slope of log S against log f", "1")
+    scale: float = attribute("of the law that is fitted", "steps per cycle")
+    fit_min: float = attribute("lower end of the fit", "cycles per step")
+    fit_max: float = attribute("upper end of the fit", "cycles per step")
+    segment: int = attribute("steps of a segment", "1")
     frequency: np.ndarray = array("frequency", "cycles per step")
     power: np.ndarray = array(
         "one-sided power density of the amplitude, averaged over segments and trajectories",
@@ -88,13 +88,13 @@ class Memory(Record):
     """
 
     group = "memory"
-    bonds: int
-    order: float
-    order_error: float
-    increment: float
-    increment_error: float
-    successive: float
-    successive_error: float
+    bonds: int = attribute("M, how many bonds there are", "1")
+    order: float = attribute("kbar, how many of them act jointly", "1")
+    order_error: float = attribute("its standard error", "1")
+    increment: float = attribute("correlation of B with its next increment", "1")
+    increment_error: float = attribute("its standard error", "1")
+    successive: float = attribute("that of increments after each other", "1")
+    successive_error: float = attribute("its standard error", "1")
     lag: np.ndarray = array("steps in between", "steps", dtype=int)
     correlation: np.ndarray = array("autocorrelation of B", "1", "lag")
     correlation_error: np.ndarray = error_of(correlation)

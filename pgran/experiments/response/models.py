@@ -29,12 +29,13 @@ same of f, by which rounding is bounded. NumPy only.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from pgran.driven.amplitudes import Limits
 from pgran.medium.base import SMALLEST_NORMAL
+from pgran.store.record import attribute
 
 # Moments of each right-hand side at each end: fewer where factorizations are cheap beside the dense
 # algebra of a model, up to so many unknowns.
@@ -54,10 +55,10 @@ class ModelLimits(Limits):
     angles add `steady_stability`, lambda_min(L), to omega stability.
     """
 
-    rounding: float
-    sum_rounding: float
-    receiver: float = field(metadata={"since": 5})
-    steady_stability: float | None = field(default=None, kw_only=True, metadata={"optional": True})
+    rounding: float = attribute("part of a residual's terms that rounding may be", "1")
+    sum_rounding: float = attribute("the same of a sum over all balls", "1")
+    receiver: float = attribute("bound of |e_d|", "1", since=5)
+    steady_stability: float | None = attribute("lambda_min of loss angles", "k", optional=True)
 
 
 def moments_of(medium):

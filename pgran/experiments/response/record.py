@@ -10,6 +10,7 @@ from pgran.experiments.response.models import ModelLimits, evaluate, point_dtype
 from pgran.store.record import (
     BOUND,
     DETECTOR,
+    ERROR,
     FLOOR,
     PHASE,
     Frequencies,
@@ -22,6 +23,7 @@ from pgran.store.record import (
     row_of,
 )
 
+HEARD = "detector_number"
 LINES = 1e-2  # of the amplitude, that straight lines between neighbours should be right to
 
 
@@ -104,23 +106,21 @@ class Response(Frequencies):
     """The frequency response of single balls (paper: freqres, phaseres).
 
     `nw` frequencies, `nd` detectors. A point whose `converged_reason` is not positive failed or
-    missed the accuracy asked for. The `method` is `points`, each frequency solved for, or `curve`,
-    models of intervals; `resolve` is what straight lines between neighbours were asked to be right
-    to, relative to the amplitude; 0: no frequency was added.
+    missed the accuracy asked for. Straight lines between neighbours are to be right to `resolve`.
     """
 
     group = "response"
-    method: str = attribute(since=3)
-    resolve: float = attribute(since=3)
-    phase_slope: np.ndarray = attribute_array("detector_number")
-    phase_slope_error: np.ndarray = attribute_array("detector_number", since=3)
-    phase_velocity: np.ndarray = attribute_array("detector_number")
-    phase_velocity_error: np.ndarray = attribute_array("detector_number", since=3)
-    phase_intercept: np.ndarray = attribute_array("detector_number")
-    phase_fit_min: float
-    phase_fit_max: float
-    phase_used_min: np.ndarray = attribute_array("detector_number", since=3)
-    phase_used_max: np.ndarray = attribute_array("detector_number", since=3)
+    method: str = attribute("points, each solved for, or curve, models of intervals", since=3)
+    resolve: float = attribute("part of the amplitude; 0: no frequency was added", "1", since=3)
+    phase_slope: np.ndarray = attribute_array("slope of the phase", "rad per omega_mx", HEARD)
+    phase_slope_error: np.ndarray = attribute_array(ERROR, "rad per omega_mx", HEARD, since=3)
+    phase_velocity: np.ndarray = attribute_array("distance over slope", "length x omega_mx", HEARD)
+    phase_velocity_error: np.ndarray = attribute_array(ERROR, "length x omega_mx", HEARD, since=3)
+    phase_intercept: np.ndarray = attribute_array("phase at omega = 0", "rad", HEARD)
+    phase_fit_min: float = attribute("lower end of the window asked for", "omega_mx")
+    phase_fit_max: float = attribute("upper end of the window asked for", "omega_mx")
+    phase_used_min: np.ndarray = attribute_array("where the fit begins", "omega_mx", HEARD, since=3)
+    phase_used_max: np.ndarray = attribute_array("where the fit ends", "omega_mx", HEARD, since=3)
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)", row=True)
     requested: np.ndarray = array(
         "1: this frequency was asked for, 0: added to resolve the curve", "1", "omega",

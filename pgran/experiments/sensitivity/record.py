@@ -26,7 +26,7 @@ class Sensitivity(Frequencies):
     """
 
     group = "sensitivity"
-    most: int
+    most: int = attribute("how many bonds and balls are kept; 0: all", "1")
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
@@ -96,8 +96,8 @@ class Heat(Frequencies):
     """
 
     group = "heat"
-    factor: float
-    overlap: float
+    factor: float = attribute("how many times as stiff; NaN: not so", "1")
+    overlap: float = attribute("how much more contacts overlap; NaN: not so", "length")
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors before any change", "1", *WHERE, **COMPLEX
@@ -118,9 +118,9 @@ class Heat(Frequencies):
         "amplitude with each bond cut", "1", *WHERE, "every_bond", optional=True, **COMPLEX
     )
     cut_bound: np.ndarray | None = error_of(cut, BOUND)
-    relaxed: bool | None = attribute(optional=True)
-    kelvin: float | None = attribute(optional=True)
-    expansion: float | None = attribute(optional=True)
+    relaxed: bool | None = attribute("1: the packing finds its rest anew", optional=True)
+    kelvin: float | None = attribute("by how much balls are warmer", "K", optional=True)
+    expansion: float | None = attribute("relative growth of a radius", "1/K", optional=True)
     growth: np.ndarray | None = array(
         "growth of each warm ball's radius", "length", "ball", optional=True
     )
