@@ -16,6 +16,8 @@ SMALL = {
     r"-green_sources 8,10,12,10": "-green_sources 2,3,4,3",
     r"-sweep_points \d{3,}": "-sweep_points 200",
     r"-relax_steps \d+": "-relax_steps 3000",
+    r"-heat_samples \d+": "-heat_samples 2",
+    r"-accuracy_repeats \d+": "-accuracy_repeats 1",
     r"-structure_count \d+": "-structure_count 2",
     r"-pulse_time 600": "-pulse_time 200",
     r"-pulse_points 2401": "-pulse_points 401",

@@ -17,6 +17,7 @@ import pytest
 from small import copy_options, made_small
 
 import pgran
+from pgran import catalogue
 from pgran.__main__ import COMMANDS
 from pgran.command import manual
 from pgran.command.resolve import SCENES, options_of, resolve
@@ -25,7 +26,6 @@ from pgran.medium import network_file
 from pgran.run import keys as solver_keys
 from pgran.run.options import files_first, read_file, read_files, read_words
 from pgran.store import file
-from pgran.store.record import Record
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "pgran" / "manual"
@@ -94,16 +94,17 @@ def scratch(small, call, here, tmp_path, monkeypatch):
     return SimpleNamespace(run=run, prepare=prepare)
 
 
-@pytest.mark.parametrize("block", [b for b in SHELL if not b.slow], ids=lambda b: b.name)
-def test_commands_run(scratch, block):
-    """In this process: what the shell itself does, it does with an echo for pgran."""
-    if ".vtu" in block.lines:
-        pytest.importorskip("meshio")
-    scratch.prepare(block.lines)
-    lines = STAND_INS + made_small(block.lines)
-    subprocess.run(["bash", "-euo", "pipefail", "-c", lines], check=True)
-    for line in Path("words").read_text().splitlines():
-        scratch.run(*shlex.split(line))
+@pytest.mark.parametrize("page", dict.fromkeys(b.page for b in SHELL if not b.slow), ids=name_of)
+def test_commands_run(scratch, page):
+    """Those of one page after each other, in this process; with an echo for pgran in a shell."""
+    for block in (block for block in SHELL if block.page == page and not block.slow):
+        if ".vtu" in block.lines:
+            pytest.importorskip("meshio")
+        scratch.prepare(block.lines)
+        lines = STAND_INS + made_small(block.lines)
+        subprocess.run(["bash", "-euo", "pipefail", "-c", lines], check=True)
+        for line in Path("words").read_text().splitlines():
+            scratch.run(*shlex.split(line))
 
 
 @pytest.mark.parametrize("page", dict.fromkeys(b.page for b in PYTHON), ids=name_of)
@@ -167,8 +168,8 @@ def test_what_is_named_exists(path, monkeypatch):
             known = key[1] in OPTIONS or key[1].startswith("plot_") or span.endswith("_*")
             solver = solver_keys.is_solver_key(key[1]) or solver_keys.is_petsc_key(key[1])
             assert known or solver or key[1].endswith("_"), span
-        if topic := re.match(r"pgran manual ([a-z]+)", span):
-            manual.page(topic[1])
+        if topic := re.match(r"pgran manual ([a-z]\w*)", span):
+            assert topic[1] in manual.topics() or any(manual.found(topic[1]))
     for target in re.findall(r"\]\(([^)]+)\)", prose):
         assert (path.parent / target).exists(), target
 
@@ -185,27 +186,30 @@ def test_tables_are_those_of_the_program():
         assert TEXT[FOLDER / f"{page}.md"].endswith("\n".join(["\n", *lines()]).rstrip() + "\n")
 
 
-def kinds(kind=Record):
-    """Yield all records that have a group of their own."""
-    if kind.group:
-        yield kind
-    for each in kind.__subclasses__():
-        yield from kinds(each)
+@pytest.mark.parametrize("group", catalogue.RECORDS)
+def test_all_that_a_result_holds_has_a_meaning(group):
+    """Each name stands in the list of its group on the page, which is as wide as a terminal."""
+    kind, page = catalogue.record_kind(group), TEXT[FOLDER / "results.md"]
+    parts = [item.metadata["part"] for item in dataclasses.fields(kind) if "part" in item.metadata]
+    for each in (kind, *parts):
+        place = f"/{each.within}/{each.group}" if each.within else f"/{each.group}"
+        listed = page.partition(f"## {place}\n")[2].partition("\n## ")[0]
+        for item in dataclasses.fields(each):
+            if "part" not in item.metadata:
+                assert item.metadata["long_name"], item.name
+                assert re.search(rf"^{item.name}\*? +\S", listed, re.MULTILINE), item.name
+    assert max(map(len, page.splitlines())) <= 100
 
 
-@pytest.mark.parametrize("kind", [*kinds()], ids=lambda kind: kind.__name__)
-def test_all_that_results_hold_is_named(kind):
-    page = TEXT[FOLDER / "results.md"]
-    group = f"/{kind.within}/{kind.group}" if kind.within else f"/{kind.group}"
-    (row,) = re.findall(rf"^\| `{group}` \|.*$", page, re.MULTILINE)
-    elsewhere = {"part", "of_run"}
-    names = [f.name for f in dataclasses.fields(kind) if not elsewhere & f.metadata.keys()]
-    assert [name for name in names if f"`{name}`" not in row] == []
+def test_all_that_a_file_says_of_its_run_is_named(scratch):
+    scratch.prepare("results/response.h5")
+    said = pgran.load("results/response.h5").attributes
+    assert [name for name in said if f"`{name}`" not in TEXT[FOLDER / "results.md"]] == []
 
 
 def test_the_readme_is_short():
     assert len(TEXT[ROOT / "README.md"].splitlines()) <= 150
-    assert (FOLDER / "response.png").stat().st_size < 100_000
+    assert max(path.stat().st_size for path in FOLDER.glob("*.png")) < 80_000
 
 
 def test_topics_are_the_pages():
@@ -215,17 +219,26 @@ def test_topics_are_the_pages():
 
 
 def test_a_page_is_shown(call):
-    assert call("manual", "developing").stdout == manual.HIDDEN.sub("", manual.page("developing"))
+    assert call("manual", "developing").stdout == manual.page("developing")
     listed = call("manual").stdout
     assert all(f"  {name} " in listed for name in manual.topics())
     for topic, said in (
-        ("acuracy", "there is no topic acuracy; see accuracy"),
-        ("LAMMPS", "see networks"),
-        ("zzz", "pgran manual lists the topics"),
+        ("acuracy", "no page is, or holds, acuracy; see accuracy"),
+        ("zzz", "pgran manual lists the pages"),
     ):
         done = call("manual", topic)
         assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
         assert said in done.stderr
+
+
+def test_words_are_looked_for(call):
+    """The definition of a name comes first, then what is said of it; all words, in either case."""
+    place, line, *_ = call("manual", "PHASE_SLOPE").stdout.splitlines()
+    assert (place, line.split()[0]) == ("results: /response", "phase_slope")
+    assert call("manual", "/green").stdout.startswith("results: /green\n")
+    for found in call("manual", "sound", "lammps").stdout.splitlines()[:16:2]:
+        page = manual.page(found.partition(":")[0]).lower()
+        assert page.count("sound") * page.count("lammps")
 
 
 def test_a_pager_on_a_terminal_only(call, clean_environment, monkeypatch):
