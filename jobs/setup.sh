@@ -27,8 +27,8 @@ export PATH # in an empty environment it is the shell's alone
 packages=(
   python3-petsc4py python3-petsc4py-complex python3-slepc4py python3-slepc4py-complex
   python3-mpi4py python3-h5py-mpi python3-numpy python3-scipy python3-matplotlib python3-tqdm
-  python3-pytest python3-mpmath python3-xarray python3-h5netcdf python3-venv python3-setuptools
-  python3-wheel openmpi-bin libopenblas0-pthread
+  python3-pytest python3-mpmath python3-xarray python3-h5netcdf python3-pandas python3-venv
+  python3-setuptools python3-wheel openmpi-bin libopenblas0-pthread
 )
 # The same from PyPI: a wheel of another project's with PETSc, SLEPc, petsc4py and slepc4py in it.
 wheels=(
@@ -36,7 +36,8 @@ wheels=(
   scipy==1.18.1 matplotlib==3.11.2 tqdm==4.70.1 pytest==9.2.0 mpmath==1.4.1 xarray==2026.9.0
   h5netcdf==1.8.2 setuptools wheel
 )
-extras=(matplotlib scipy tqdm pytest mpmath meshio networkx pandas) # figures, spectra and tests; from PyPI where missing
+# Figures, spectra and tests; from PyPI where missing.
+extras=(matplotlib scipy tqdm pytest mpmath meshio networkx pandas nbclient ipykernel)
 ruff="ruff==0.14.4" # pinned: its formatting changes between versions
 
 say() { echo "setup: $*" >&2; }

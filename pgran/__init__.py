@@ -43,6 +43,7 @@ _HOMES = {
     "pulse": "pgran.experiments.pulse.scene",
     "redrawn": "pgran.medium.law",
     "relax": "pgran.experiments.relaxation.scene",
+    "save": "pgran.medium.network_file",
     "sensitivity": "pgran.experiments.sensitivity.scene",
     "sound": "pgran.medium.statics",
     "statistics": "pgran.experiments.ensemble.statistics",

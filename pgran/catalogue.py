@@ -136,7 +136,8 @@ def code_of(scene):
 
 def without(scene):
     """Return in words that no package has the experiment that a result is of, if that is so."""
-    return "" if scene in EXPERIMENTS else "; no package that is installed has this experiment"
+    known = scene in RECORDS or scene in EXPERIMENTS  # a lattice or a network by itself
+    return "" if known else "; no package that is installed has this experiment"
 
 
 def groups_of(scene):

@@ -1,6 +1,8 @@
 """Exceptions and exit codes."""
 
+import sys
 import traceback
+from pathlib import Path
 
 DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED, INTERRUPTED = 0, 2, 3, 4, 75, 130
 LONGEST = 1010  # characters of a message
@@ -19,6 +21,17 @@ class PgranError(Exception):
     def __init__(self, message):
         text = "".join(c if c.isprintable() else "?" for c in str(message))
         super().__init__(text if len(text) <= LONGEST else f"{text[:500]} ... {text[-500:]}")
+
+    def _render_traceback_(self, *_):
+        """Return the lines that IPython shows: those of the user that led here, what is wrong."""
+        named, home, lines = sys.modules["IPython"].get_ipython().compile, Path(__file__).parent, []
+        for name, number, _, line in traceback.extract_tb(self.__traceback__):
+            if home in Path(name).parents:
+                break
+            if "-packages" not in name:  # as IPython's own
+                place = " ".join(named.format_code_name(name) or [name])
+                lines.append(f"{place}, line {number}: {line}")
+        return [*lines, f"{type(self).__name__}: {self}"]
 
 
 class InputError(PgranError):

@@ -15,10 +15,8 @@ from pgran.command.resolve import resolve
 from pgran.experiments.response import scene as response
 from pgran.medium.base import record_of
 from pgran.medium.law import BondLaw
-from pgran.medium.network_file import read_network
 from pgran.run.crew import Crew
 from pgran.run.options import read_words
-from pgran.store import file as store
 
 pytestmark = pytest.mark.usefixtures("world")  # what all ranks call alike
 
@@ -48,17 +46,6 @@ def test_all_functions_agree_with_each_other():
     assert steps.displacement[0, 0, 0] == pytest.approx(found.displacement[1, 0], rel=1e-9)
     box = pgran.continuum([1.0, 2.0], (0.47, 0.52), damping=0.1)
     assert box.displacement.shape == (2,)
-
-
-def test_the_medium_of_a_result_is_computed_on(place):
-    """The lattice's or the network's record, as it comes from the file."""
-    network = read_network(PACKING, damping=0.01)
-    for medium, ball in ((LATTICE, [3, 2]), (network, [266])):
-        found = pgran.sweep(medium, OMEGAS, ball)
-        told = {"scene": "response", "bonds_sha256": medium.bonds_sha256}
-        path = place("r.h5", store.write, told, [record_of(medium), found])
-        again = pgran.sweep(pgran.load(path).medium, OMEGAS, ball)
-        assert np.array_equal(again.displacement, found.displacement)
 
 
 def test_the_unit_of_frequency_is_that_of_all_balls():

@@ -18,13 +18,13 @@ SMALL = "-lattice_shape 6,5 -detectors 3,2"
 SWEEP = f"{SMALL} -sweep_points 5"
 # Of what a run is, the modules that it may load, and their lines.
 PATHS = {
-    "-scene continuum -sweep_points 5": (31, 4200),
-    f"-scene response {SWEEP}": (52, 9300),
-    f"-scene pulse {SMALL}": (53, 9300),
+    "-scene continuum -sweep_points 5": (31, 4280),
+    f"-scene response {SWEEP}": (52, 9320),
+    f"-scene pulse {SMALL}": (53, 9370),
     f"-scene relaxation {SMALL} -relax_steps 40": (53, 9300),
-    "-scene modes -lattice_shape 6,5": (50, 8750),
-    f"-scene ensemble -ensemble_samples 2 {SWEEP}": (56, 10200),
-    "plot": (46, 6850),
+    "-scene modes -lattice_shape 6,5": (50, 8810),
+    f"-scene ensemble -ensemble_samples 2 {SWEEP}": (56, 10220),
+    "plot": (46, 6950),
 }
 
 

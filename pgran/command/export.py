@@ -14,9 +14,9 @@ import pgran
 from pgran.arguments import called_right, shown
 from pgran.command.words import Parser
 from pgran.errors import DONE, FileError, InputError
-from pgran.medium.base import as_result
 from pgran.store.file import is_result
 from pgran.store.paths import check_seal, whole
+from pgran.store.record import Shown
 
 if TYPE_CHECKING:
     from pgran.medium.lattice import Lattice
@@ -44,8 +44,8 @@ def export(
 
     Parameters
     ----------
-    result : pgran.store.record.Result, pgran.Network, str or os.PathLike
-        What `load` returns, or the path of its file.
+    result : pgran.store.record.Result, a record, pgran.Network, str or os.PathLike
+        What `load` or a function returns, or the path of its file.
     output : str or os.PathLike
         A missing folder is made; a file that is there is replaced.
     modes : array_like of int, optional
@@ -93,8 +93,9 @@ def export(
 
 
 def result_of(given):
-    """Return the result that a user hands in, its path, or a lattice or network by itself."""
-    result = as_result(pgran.load(given) if isinstance(given, (str, os.PathLike)) else given)
+    """Return the result that a user hands in, its path, a record of it, or a medium by itself."""
+    given = pgran.load(given) if isinstance(given, (str, os.PathLike)) else given
+    result = given.as_result() if isinstance(given, Shown) else given
     if not hasattr(result, "scene"):
         raise InputError(f"a result or its path is needed, not {shown(result)}")
     return result

@@ -43,12 +43,12 @@ def plot(
 ) -> dict:
     """Return the figures of a result by their names, `plot("a.h5")["amplitude"]`; save them too.
 
-    A network, or its file, is drawn by itself.
+    A network, or its file, is drawn by itself. A notebook shows them, without a window.
 
     Parameters
     ----------
-    result : pgran.store.record.Result, pgran.Network, str or os.PathLike, or a list of these
-        What `load` returns, or the path of its file. Several of one scene (response, modes,
+    result : pgran.store.record.Result, a record, pgran.Network, str or path, or a list of these
+        What `load` or a function returns, or a file's path. Several of one scene (response, modes,
         relaxation, pulse) are laid over each other, more than six by a scale of colours over the
         option that differs; of heaters in packings each is a point.
     output : str or os.PathLike, optional

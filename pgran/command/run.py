@@ -222,7 +222,7 @@ def _run_identity(asked, scene):
     """Return what decides a run's numbers, {name: text}: what is asked, and who computes it."""
     versions = {
         "pgran": pgran.__version__,
-        "PETSc": _loaded_version("petsc4py.PETSc"),  # of whose release SLEPc is
+        "PETSc": machine.loaded_version("petsc4py.PETSc"),  # of whose release SLEPc is
         "NumPy": _installed_version("numpy"),
         "SciPy": _installed_version("scipy"),  # not imported by all that run
     }
@@ -231,23 +231,13 @@ def _run_identity(asked, scene):
 
 def _run_attributes(options, words, world, failures, seconds):
     """Return what a result file says of its run."""
-    import numpy
+    from pgran.run.experiment import facts_of_run
 
     units = {name: getattr(options, name) for name in ("units_length", "units_time")}
-    return {
-        "pgran_version": pgran.__version__,
-        "scene": options.scene,
-        "status": "unconverged" if failures else "complete",
-        "command": shlex.join(["pgran", "run", *words]),
-        "options": options.text(),
-        "petsc_version": _loaded_version("petsc4py.PETSc"),
-        "slepc_version": _loaded_version("slepc4py.SLEPc"),
-        "numpy_version": numpy.__version__,
-        "blas_kernel": machine.blas_kernels(),
-        "mpi_size": world.size,
-        "seconds": seconds,
-        "time_convention": "exp(+i omega t)",
-    } | {name: value for name, value in units.items() if value is not None}
+    told = {"scene": options.scene, "options": options.text(), "seconds": seconds}
+    told |= {"command": shlex.join(["pgran", "run", *words]), "blas_kernel": machine.blas_kernels()}
+    told |= {name: value for name, value in units.items() if value is not None}
+    return facts_of_run(failures, world.size) | told
 
 
 def _installed_version(name):
@@ -256,12 +246,6 @@ def _installed_version(name):
         return metadata.version(name)
     except metadata.PackageNotFoundError:  # built by hand, without a word of what it is
         return "unknown"
-
-
-def _loaded_version(name):
-    """Return the version of PETSc or SLEPc, if this run has loaded it."""
-    module = sys.modules.get(name)
-    return ".".join(map(str, module.Sys.getVersion())) if module else "not loaded"
 
 
 def _warn_of_unused(options):

@@ -16,6 +16,15 @@ from pgran.store.paths import whole
 from pgran.store.si import SI
 
 
+class Figures(dict):
+    """Figures by their names; a notebook shows them, with their captions."""
+
+    def _repr_html_(self):
+        from pgran.store.display import picture
+
+        return "".join(picture(figure, name) for name, figure in self.items())
+
+
 def make(result, si=None, width=None, **over):
     """Return all figures of a result by their names. See `pgran.plot`."""
     groups = [group for group in sorted(catalogue.FIGURES) if hasattr(result, group)]
@@ -49,7 +58,7 @@ def _finished(made, results, si):
         scales.finish(figure, unit_of)
         style.letter(figure.panels)
         figure.caption = captions.complete(figure, results, si, name in captions.SAMPLES)
-    return made
+    return Figures(made)
 
 
 def add_measured(made, results, data, label, scale=1.0):

@@ -2,6 +2,7 @@
 
 import contextlib
 import inspect
+import io
 import textwrap
 from contextvars import ContextVar
 
@@ -99,6 +100,12 @@ class Page(Figure):
             if self.get_layout_engine() and any(ax.get_aspect() != "auto" for ax in self.axes):
                 self.get_layout_engine().execute(self)
             super().draw(renderer)
+
+    def _repr_png_(self):
+        """Return the picture that a notebook shows."""
+        memory = io.BytesIO()
+        self.savefig(memory, format="png", dpi=120)
+        return memory.getvalue()
 
     def grow(self, inches):
         """Make room for what stands above the panels: these stay as high as they are."""

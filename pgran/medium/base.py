@@ -17,7 +17,7 @@ from pgran.catalogue import record_kind
 from pgran.errors import InputError
 from pgran.run.numbers import Distinct, numbers
 from pgran.store.estimate import counted
-from pgran.store.record import Result
+from pgran.store.record import Result, Shown
 
 log = logging.getLogger("pgran")
 
@@ -45,7 +45,7 @@ class Elimination(NamedTuple):
     seconds: float  # that a factorization of S takes, as measured
 
 
-class Medium(Distinct):
+class Medium(Shown, Distinct):
     """What vibrates: a `pgran.Lattice` or a `pgran.Network`, which answer the same questions."""
 
     is_grid = False  # of nearest neighbours, which can be cut into boxes
@@ -54,6 +54,11 @@ class Medium(Distinct):
     def built(self):
         """The medium itself, which its record in a result knows by this name, too."""
         return self
+
+    def as_result(self):
+        """Return the medium as a result by itself."""
+        record = record_of(self)
+        return Result([record], scene=record.group)
 
     @property
     def free_balls(self):
@@ -140,14 +145,6 @@ class Medium(Distinct):
 def record_of(medium):
     """Return the record of a lattice or of another network."""
     return record_kind("lattice" if medium.is_grid else "network").of(medium)
-
-
-def as_result(medium):
-    """Return a lattice or a network by itself as a result, others as they are."""
-    if not isinstance(medium, Medium):
-        return medium
-    record = record_of(medium)
-    return Result([record], scene=record.group)
 
 
 def medium(value):

@@ -19,16 +19,18 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
-from pgran.arguments import called_right, choice
+from pgran.arguments import called_right, choice, shown
 from pgran.errors import FileError, InputError
 from pgran.medium.checks import KINDS
 from pgran.medium.springs import FREE
 from pgran.store import file as store
 from pgran.store.paths import check_seal, has_seal, open_regular, whole, writing
-from pgran.store.record import Result
+from pgran.store.record import MisfitError, Result, Shown
 
 if TYPE_CHECKING:
+    from pgran.medium.lattice import Lattice
     from pgran.medium.network import Network
+    from pgran.store.record import Record
 
 FORMAT, FORMAT_VERSION = "pgran network", 1
 # Of each dataset: its type, units, and what it is.
@@ -184,8 +186,8 @@ def _made(values, **overrides):
 
 
 @called_right
-def load(path: "str | os.PathLike") -> "Result | Network":
-    """Return the result in a file, `load(path).response.omega`, or the network.
+def load(path: "str | os.PathLike") -> "Result | Lattice | Network":
+    """Return the result in a file, `load(path).response.omega`, or the lattice or network.
 
     The structure of the file is checked; its checksum only where that costs nothing, in a small
     file that still has its seal, because HDF5 can crash on damage. Groups that pgran does not know
@@ -193,9 +195,10 @@ def load(path: "str | os.PathLike") -> "Result | Network":
 
     Returns
     -------
-    pgran.store.record.Result or pgran.Network
+    pgran.store.record.Result, pgran.Lattice or pgran.Network
         Each group as the record that declares it, and the attributes of the file. A network of
-        `pgran import`, or one that other programs wrote, is read by `read_network`.
+        `pgran import`, or one that other programs wrote, is read by `read_network`; a lattice is
+        what its `save` wrote.
 
     Raises
     ------
@@ -220,7 +223,51 @@ def load(path: "str | os.PathLike") -> "Result | Network":
         ours = str(facts.get("format")) == store.FORMAT
         if not ours and not file.members("/", ["network"]):
             raise FileError(f"{path}: neither a result of pgran nor a network")
-    return store.read_result(path) if ours else read_network(path)
+    found = store.read_result(path) if ours else read_network(path)
+    return found.lattice.built if getattr(found, "scene", None) == "lattice" else found
+
+
+@called_right
+def save(
+    thing: "Result | Record | Lattice | Network", path: "str | os.PathLike", overwrite: bool = False
+) -> None:
+    """Write what `load` reads again, bit for bit; `response.save("a.h5")` does the same.
+
+    A record that a function returned becomes a result with its medium, as of `pgran run`. Lattices
+    and networks are loaded as such. `overwrite`: a result or a network that is there is replaced;
+    what else is there never is, by a FileError. Collective: all ranks call it, rank 0 writes.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path, lattice = f"{tempfile.mkdtemp()}/a.h5", pgran.Lattice.random((6, 5))
+    >>> pgran.sweep(lattice, [0.3, 0.6], [(2, 3)]).save(path)
+    >>> pgran.load(path)
+    Result(scene='response', status='complete', lattice, response)
+    """
+    from pgran.run.agreement import on_root
+    from pgran.run.launch import start
+
+    on_root(start().COMM_WORLD, lambda: _write(thing, path, overwrite))
+
+
+def _write(thing, path, overwrite):
+    """Write a result, a record of one, or a medium, on rank 0."""
+    if not (isinstance(thing, Shown) and isinstance(path, (str, os.PathLike))):
+        raise InputError(f"save: a result or medium, and a path, not {shown(thing)}, {shown(path)}")
+    if os.path.lexists(path) and not overwrite:
+        raise FileError(f"{path}: exists already; overwrite=True replaces a result or a network")
+    thing = getattr(thing, "built", thing)  # of a medium's record the medium
+    if not getattr(thing, "is_grid", True):
+        return write_network(path, *parts_of(thing), overwrite)
+    result = thing.as_result()
+    medium, *others = result.records.values()
+    try:
+        for record in others:
+            record.check(medium.axes)
+    except MisfitError as error:  # of what was changed by hand
+        raise InputError(f"save: /{record.group}/{error}") from None
+    store.write(path, result.attributes, [medium, *others], overwrite)
 
 
 if __name__ == "__main__":

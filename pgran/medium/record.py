@@ -38,6 +38,7 @@ class LatticeRecord(Record):
     damping_reference: float | None = attribute("k_ref of that law", "k", optional=True)
     drag: float | None = attribute("alpha of a drag -alpha m v", "sqrt(k/m)", optional=True)
     loss: float | None = attribute("eta of springs k (1 + i eta)", "1", optional=True)
+    kmax: float | None = attribute("stiffness that omega_mx is by", "k", optional=True)
 
     length = "spacings"  # what distances are in
     has_places = True  # its balls, to be drawn at
@@ -69,7 +70,7 @@ class LatticeRecord(Record):
         """The lattice itself."""
         from pgran.medium.lattice import Lattice
 
-        kmax = self.mass * self.omega_mx**2 / (2 * len(self.shape))
+        kmax = self.kmax or self.mass * self.omega_mx**2 / (2 * len(self.shape))
         wall = None if self.wall is None else self.wall.reshape(self.shape[1:])
         laws = {name: getattr(self, name) or 0.0 for name in ("damping_power", "drag", "loss")}
         return Lattice(
@@ -80,7 +81,7 @@ class LatticeRecord(Record):
     @classmethod
     def of(cls, lattice):
         """Return the record of a lattice."""
-        same = ("shape", "mass", "damping", "omega_mx", "bonds_sha256", "push")
+        same = ("shape", "mass", "damping", "omega_mx", "bonds_sha256", "push", "kmax")
         values = {name: getattr(lattice, name) for name in same}
         values |= {f"stiffness_{x}": k for x, k in zip(AXES, lattice.stiffness, strict=False)}
         values["wall"] = None if lattice.wall is None else lattice.wall.ravel()

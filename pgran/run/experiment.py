@@ -15,12 +15,14 @@ import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import pgran
 from pgran.arguments import bound, saying_once
 from pgran.errors import InputError
-from pgran.run import launch
+from pgran.run import launch, machine
 from pgran.run.agreement import agreeing, ending_all
 from pgran.run.numbers import fingerprint, numbers
 from pgran.run.options import KINDS, RUN, Option, check_ends, text_of
+from pgran.store.record import Result, Shown
 
 
 class Caution(str):
@@ -215,7 +217,10 @@ def in_parallel(prefix="", shares_lattice=False, solver=True, **arguments):
                 shared = shares_lattice and call.arguments["lattice"].is_large
                 with saying_once(), AgreeingCrew(world, world.size if shared else 1) as crew:
                     record = carry_out(call, crew=crew)
-                return world.bcast(record)
+                record, medium = world.bcast(record), call.arguments.get("lattice")
+                if not isinstance(medium, Shown):  # none, or samples: the record knows the first
+                    medium = Result(record.origin[0] if record.origin else ())
+                return record.computed_on(medium, **facts_of_run(record.failures, world.size))
 
         wrapped.__signature__ = signature.replace(parameters=parameters)
         wrapped.check, wrapped.declared = check, declared
@@ -223,6 +228,21 @@ def in_parallel(prefix="", shares_lattice=False, solver=True, **arguments):
         return wrapped
 
     return decorate
+
+
+def facts_of_run(failures, ranks):
+    """Return what a result says of its run, {attribute: value}: how it went, by which libraries."""
+    import numpy
+
+    return {
+        "pgran_version": pgran.__version__,
+        "status": "unconverged" if failures else "complete",
+        "petsc_version": machine.loaded_version("petsc4py.PETSc"),
+        "slepc_version": machine.loaded_version("slepc4py.SLEPc"),
+        "numpy_version": numpy.__version__,
+        "mpi_size": ranks,
+        "time_convention": "exp(+i omega t)",
+    }
 
 
 def _solver_keys(keys):

@@ -105,6 +105,12 @@ def take_one_thread():
             ask_blas("set_num_threads", 1)
 
 
+def loaded_version(name):
+    """Return the version of PETSc or SLEPc, if this process has loaded it."""
+    module = sys.modules.get(name)
+    return ".".join(map(str, module.Sys.getVersion())) if module else "not loaded"
+
+
 def blas_kernels():
     """Return for which processors the kernels that run here were written; last bits differ."""
     names = {name.decode() for name in ask_blas("get_corename", restype=ctypes.c_char_p)}

@@ -6,6 +6,8 @@ It shows on the standard error of rank 0 how far it is, and the time that is lef
 import contextlib
 import sys
 import time
+from importlib import import_module
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -86,13 +88,13 @@ class Progress(contextlib.AbstractContextManager):
     def __init__(self, total, what, style="auto"):
         self.total, self.what, self.done = total, what, 0
         self.last_time, self.last_done, self.bar = time.monotonic(), 0, None
+        widgets = "ipykernel" in sys.modules and find_spec("ipywidgets")
         if style == "auto":
-            style = "bar" if sys.stderr.isatty() else "lines"
+            style = "bar" if widgets or sys.stderr.isatty() else "lines"
         self.lines = style == "lines"
         if style == "bar":
             try:
-                from tqdm import tqdm
-
+                tqdm = import_module("tqdm.notebook" if widgets else "tqdm").tqdm
                 self.bar = tqdm(total=total, unit=f" {what}", leave=False)
             except ImportError:
                 self.lines = True

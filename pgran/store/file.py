@@ -168,7 +168,8 @@ def read_result(path):
         records = []
         for group in file.members("/", groups_of(str(facts.get("scene")))):
             axes = records[0].axes if records else {}  # of the medium, which comes first
-            records.append(_read_record(file, group, record_kind(group), facts, axes))
+            record = _read_record(file, group, record_kind(group), facts, axes)
+            records.append(record.computed_on(Result(records), **facts))
         return Result(records, **facts)
 
 

@@ -9,12 +9,14 @@ along x. An array without axes is a coordinate itself.
 import dataclasses
 import reprlib
 from dataclasses import dataclass
+from importlib import import_module
 from types import MappingProxyType, UnionType
 from typing import get_args
 
 import numpy as np
 
-from pgran.errors import FileError, PgranError
+from pgran.catalogue import EXPERIMENTS
+from pgran.errors import FileError, InputError, PgranError
 
 SPACE = "xyz"
 # Kinds of NumPy's types, what a file may hold instead of each, and what to call it.
@@ -132,14 +134,40 @@ class MisfitError(ValueError):
     """What a record was given does not fit its declaration."""
 
 
-class Record:
+class Shown:
+    """What is saved, drawn, and seen in a notebook: a record, a result, a medium."""
+
+    def as_result(self):
+        """Return it as a result."""
+        return self
+
+    def save(self, path, overwrite=False):
+        """See `pgran.save`. Collective."""
+        import pgran
+
+        pgran.save(self, path, overwrite)
+
+    def plot(self, output=None, **choices):
+        """See `pgran.plot`."""
+        import pgran
+
+        return pgran.plot(self, output, **choices)
+
+    def _repr_html_(self):
+        from pgran.store.display import page
+
+        return page(self)
+
+
+class Record(Shown):
     """One group of a result; each subclass names it and declares what it holds.
 
     A record with `within` is a part of that group's record. `failures` says how many of its results
-    miss the accuracy asked for.
+    miss the accuracy asked for. `origin`, if known, holds the records before it in its result, the
+    medium's first, and the attributes of this.
     """
 
-    group = within = None
+    group = within = origin = None
     failures = 0
     axes = MappingProxyType({})  # the lengths of a medium's axes by name
 
@@ -168,23 +196,33 @@ class Record:
     def to_xarray(self):
         """Return the record as an xarray.Dataset: coordinates, units and long names.
 
-        Plain values are its attributes. A PgranError says if there is no xarray.
+        Plain values are its attributes. Its `to_netcdf("a.nc")` keeps complex numbers, of which
+        h5netcdf warns; `xarray.load_dataset("a.nc", engine="h5netcdf")` reads them. A PgranError
+        says if there is no xarray.
         """
-        try:
-            import xarray
-        except ImportError as error:
-            raise PgranError(
-                f"to_xarray needs xarray, which cannot be imported ({error}): "
-                "pip install xarray, or apt install python3-xarray"
-            ) from None
-        variables, attributes = {}, {}
-        for item, value in self.filled():
-            if "axes" in item.metadata:
-                meaning = {key: item.metadata[key] for key in ("units", "long_name")}
-                variables[item.name] = xarray.Variable(axes_of(item, value), value, meaning)
-            elif "part" not in item.metadata:
-                attributes[item.name] = value
-        return xarray.Dataset(variables, attrs=attributes)
+        return _optional("xarray", "pgran.store.datasets").dataset(self, axes_of)
+
+    def to_dataframe(self, *rows):
+        """Return a table of the record as a pandas.DataFrame, complex columns as they are.
+
+        A row for each frequency, mode or time, of each detector a column, as `pgran.export` has it.
+        Where arrays lie along several axes `rows` says which, `to_dataframe("omega", "ball")`.
+        """
+        return _optional("pandas", "pgran.store.text").dataframe(self, rows)
+
+    def as_result(self):
+        """Return the result that the record is of; an InputError where nobody says which."""
+        if self.origin is None:
+            said = "made or changed by hand, on which medium? record.computed_on(medium) says it"
+            raise InputError(f"{self.group}: {said}")
+        before, attributes = self.origin
+        homes = {group: scene for scene, home in EXPERIMENTS.items() for group in home.groups}
+        return Result([*before, self], **{"scene": homes.get(self.group, self.group)} | attributes)
+
+    def computed_on(self, other, **attributes):
+        """Return the record, told of the medium, or record, that it was computed on."""
+        vars(self)["origin"] = (*other.as_result().records.values(),), attributes
+        return self
 
     def __repr__(self):
         parts = []
@@ -198,11 +236,21 @@ class Record:
         return f"{type(self).__name__}({', '.join(parts)})"
 
 
+def _optional(package, module):
+    """Return a module of pgran that a package is needed by; raise where there is none."""
+    try:
+        import_module(package)
+    except ImportError as error:
+        cure = f"pip install {package}, or apt install python3-{package}"
+        raise PgranError(f"{package} cannot be imported ({error}): {cure}") from None
+    return import_module(module)
+
+
 class MissingError(FileError, AttributeError):
     """A result lacks a group or an attribute that was asked for."""
 
 
-class Result:
+class Result(Shown):
     """The records of a run by the names of their groups, and what the run says of itself.
 
     `result.response` is a `pgran.results.Response`, `result.scene` a text. What is missing raises

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from pgran.catalogue import without
-from pgran.errors import FileError
+from pgran.errors import FileError, InputError
 from pgran.store.paths import open_regular
 
 LONGEST_LINE = 2**16  # bytes
@@ -166,6 +166,19 @@ def tables(result):
     if not named:
         raise FileError(f"no table in this result (scene {scene}){without(scene)}")
     return named
+
+
+def dataframe(record, rows):
+    """Return the table of a record with these rows, if it has several; see `Record`."""
+    import pandas
+
+    found = _tables_of(record)
+    if not rows and len(found) == 1:
+        (rows,) = found
+    if rows not in found:
+        calls = " or ".join(f"to_dataframe({', '.join(map(repr, axes))})" for axes in found)
+        raise InputError(f"which table of {record.group}? {calls or 'it has no rows'}")
+    return pandas.DataFrame(found[rows])
 
 
 def _tables_of(record):

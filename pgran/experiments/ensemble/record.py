@@ -177,6 +177,10 @@ class Ensemble(Record):
         few = self.participation[good][rings] < LOCALIZED * medium.free_balls
         return self.mode_width[good][rings], few
 
+    def measured(self, record):
+        """Return a record of what the samples tell, which follows this one in a result."""
+        return record.computed_on(self, **self.origin[1]) if self.origin else record
+
     @property
     def failures(self):
         """How many samples failed, or missed the accuracy asked for."""

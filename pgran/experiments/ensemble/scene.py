@@ -194,7 +194,8 @@ def ensemble(
             raise InputError(f"ensemble: the sample of seed {seed} is of another size")
         return medium
 
-    return repeated(of, seeds, draw, first, keep, choices, crew, progress, listed)
+    record = repeated(of, seeds, draw, first, keep, choices, crew, progress, listed)
+    return record and record.computed_on(first)
 
 
 def repeated(

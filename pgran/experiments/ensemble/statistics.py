@@ -107,7 +107,7 @@ def statistics(ensemble: Ensemble, windows: "ArrayLike") -> NoiseStatistics:
     for (name, error), where in missing.items():
         log.warning("no %s in %s: %s", name, "; ".join(where), error)
     arrays = {name: np.array([[d[name] for d in row] for row in places]) for name in places[0][0]}
-    return NoiseStatistics(
+    noise = NoiseStatistics(
         samples=len(A),
         low=windows[:, 0].copy(),
         high=windows[:, 1].copy(),
@@ -117,6 +117,7 @@ def statistics(ensemble: Ensemble, windows: "ArrayLike") -> NoiseStatistics:
         shift=arrays.pop("shift")[:, 0],  # those of a window, whatever the detector is
         **arrays,
     )
+    return ensemble.measured(noise)
 
 
 def _of_place(omega, A, window, detector, missing):

@@ -101,7 +101,7 @@ def transport(
     if ensemble.square is not None:
         if medium.push is not None or getattr(medium, "wall", None) is not None:
             raise InputError("transport: from a part of a wall, or a push, energy spreads sideways")
-        return diffusion(ensemble, depth, length, window, medium.axes)
+        return ensemble.measured(diffusion(ensemble, depth, length, window, medium.axes))
     first, omega = first_mode(medium), ensemble.omega
     if not np.any(omega >= first):
         raise InputError(f"transport: all frequencies lie below the first mode, at {first:.4g}")
@@ -119,7 +119,7 @@ def transport(
         rate = certain(rate, waves & (rate.value > RECIPROCAL * rate.error))
         return Estimate(1 / rate.value, 1 / (rate.value - rate.error) - 1 / rate.value)
 
-    return Transport(
+    found = Transport(
         samples=len(displacement),
         first_mode=first,
         depth_low=float(window[0]),
@@ -141,6 +141,7 @@ def transport(
             delay_growth=growth,
         ),
     )
+    return ensemble.measured(found)
 
 
 def has_curves(ensemble):

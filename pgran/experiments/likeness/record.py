@@ -21,6 +21,7 @@ class Likeness(Record):
     """
 
     group = "likeness"
+    origin = (), {}  # of no medium
     of: str = attribute("the scene of both: response or pulse")
     label_a: str = attribute("what A is called")
     label_b: str = attribute("what B is called")

@@ -97,8 +97,8 @@ class PulseLine(FrequencySweep):
         return recording.record(
             "laplace",
             found,
-            sigma=line.sigma,
-            period=line.period,
+            sigma=float(line.sigma),
+            period=float(line.period),
             solves=len(rows),
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
