@@ -1,5 +1,7 @@
 """What tests read off the axes of a figure."""
 
+from itertools import zip_longest
+
 import numpy as np
 import pytest
 
@@ -73,9 +75,15 @@ def legend(figure):
     assert all(ax.bbox.y1 <= box.y0 for ax in figure.panels if ax.get_legend())
     assert figure.bbox.padded(1).contains(*box.min)
     assert figure.bbox.padded(1).contains(*box.max)
-    texts = [text.get_text() for text in shown.get_texts()]
+    listed = [text.get_text() for text in shown.get_texts()]  # column by column
+    columns = getattr(shown, "_ncols", None) or shown._ncol  # of matplotlib 3.5
+    rows = list(zip_longest(*np.array_split(listed, columns)))
+    assert len(rows) <= style.LEGEND_ROWS
+    texts = [text for row in rows for text in row if text is not None]
     if any(lines(ax, gid=style.UNIT) for ax in figure.panels):
-        assert texts.pop() == r"$\omega_{mx}$"
+        unit = r"$\omega_{mx}$"
+        assert texts[-1] == unit or f"{unit}." in figure.caption
+        texts = [text for text in texts if text != unit]
     return texts
 
 

@@ -42,7 +42,7 @@ def test_the_regimes_hold_every_point_of_every_detector():
     (limits,) = lines(panels[1], marker="v")
     assert list(np.flatnonzero(np.isfinite(limits.get_ydata()))) == [70, 71]
     assert [marks(ax, TICKUP) for ax in panels] == [pytest.approx([0.1]), pytest.approx([0.5]), []]
-    names = ["ball (1, 1)", "ball (3, 0)", "normal modes", "upper limit, at the floor"]
+    names = ["ball (1, 1)", "ball (3, 0)", "upper limit, at the floor", "normal modes"]
     assert legend(figure) == names
 
 

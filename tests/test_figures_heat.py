@@ -102,7 +102,7 @@ def test_balls_that_grow_in_a_packing():
     assert median.get_ydata() == pytest.approx([np.median(moved[:, group]) for group in groups])
     made = figures.make(result_of(found, discs_of))
     assert {"warmed", "frozen", "changes"} <= made.keys()
-    assert "neighbours frozen" in note(made["frozen"])
+    assert "rest frozen" in note(made["frozen"])
     assert "all at a new rest" in note(made["warmed"])
 
 

@@ -78,9 +78,9 @@ SCENES = {
                "widths swings residues"),
     "resonances": (lambda: find_modes((4, 3), detectors=[(1, 1), (3, 0)]),
                    "shapes speeds participation resonances"),
-    "few modes": (lambda: find_modes((2, 1)), "shapes speeds participation"),
+    "few modes": (lambda: find_modes((2, 1)), "shapes"),
     "density": (count_modes, "staircase density reduced"),
-    "few frequencies": (lambda: project([0.5, 0.6, 0.7], (2, 1)), "onefreq"),
+    "few frequencies": (lambda: project([0.5, 0.6, 0.7], (2, 2)), "onefreq"),
     "dominant": (lambda: project(FINE, (6, 5)), "maxci"),
     "single modes": (lambda: project(FINE, (3, 1)), "cifreq"),
     "relaxation": (relax, "timeres"),
@@ -211,7 +211,7 @@ def test_a_logarithmic_axis_has_numbers(low, high):
 
 
 def test_few_points_that_are_no_curve_are_points():
-    (ax,) = page_of(respond([0.2, 0.6, 1.1]), "amplitude").axes  # one panel, points inside
+    (ax,) = page_of(respond([0.2, 0.5, 0.6, 1.1]), "amplitude").axes  # one panel, points inside
     assert ax.get_xlim() == pytest.approx((0.155, 1.145))
     few, whole = respond(SWEEP[::20]), respond()
     for result, resolved, joined in ((few, 1, 1), (few, 0, 0), (whole, 0, 1)):

@@ -27,11 +27,11 @@ def page(lattice, detectors):
     bar.set_label("bond constant $K$" + (", mean of each ball" if ax.images else ""))
     bar.outline.set_linewidth(0.6)
     ax.set_title(f"plane $z$ = {plane[0]}" if plane else "")
-    style.legend_above([ax])
     figure.caption = (
         "The lattice: a line is a bond, the darker the larger its constant $K$; hatched: walls at "
         "rest; green: what drives; dots: detectors."
     )
+    style.legend_above([ax])
     return figure
 
 

@@ -34,13 +34,13 @@ def page(network, balls):
     height = min(max((width - 0.6) * ratio, 0.6), 7.0) + 0.5
     figure, (ax,) = style.page(width, height)
     contacts(ax, network, balls)
-    style.legend_above([ax])
     what = "stiffness" if network.force is None else "force"
     dots = "; small marks: detectors" if len(balls) else ""
     figure.caption = (
         f"The network: a line is a contact, as thick as its {what}; circles: balls, dark ones at "
         f"rest, green ones driven along the double arrow{dots}."
     )
+    style.legend_above([ax])
     if view.plane:
         style.above(figure, f"network in the {view.plane}")
     return figure
@@ -56,10 +56,6 @@ def contacts(ax, network, balls=()):
     view = View(network, balls[0] if len(balls) else None)
     view.frame(ax)
     view.draw(ax)
-    for kind, name in ((AT_REST, "at rest"), (DRIVEN, "driven")):
-        if np.any(view.kind == kind):
-            look = {"color": FACES[kind], "markeredgecolor": EDGES[kind], "markeredgewidth": 0.4}
-            _entry(ax, name, marker="o", linestyle="none", **look)
     what = "stiffness" if network.force is None else "force"
     values = getattr(network, what)
     thickest, largest = min(max(0.2 * view.points(ax), 0.3), 2.5), np.abs(values).max() or 1.0
@@ -80,6 +76,10 @@ def contacts(ax, network, balls=()):
     for ball, name, (shade, mark) in zip(balls, names, shades, strict=True):
         if view.seen[ball]:
             ax.plot(*view.xy[ball], color=shade, marker=mark, label=name, **look)
+    for kind, name in ((AT_REST, "at rest"), (DRIVEN, "driven")):
+        if np.any(view.kind == kind):
+            look = {"color": FACES[kind], "markeredgecolor": EDGES[kind], "markeredgewidth": 0.4}
+            _entry(ax, name, marker="o", linestyle="none", **look)
     return drawn
 
 

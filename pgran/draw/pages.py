@@ -8,12 +8,15 @@ docstrings begin with their captions.
 
 import contextlib
 import io
+import logging
 from pathlib import Path
 
 from pgran import catalogue
 from pgran.errors import FileError, PgranError
 from pgran.store.paths import whole
 from pgran.store.si import SI
+
+log = logging.getLogger("pgran")
 
 
 class Figures(dict):
@@ -32,9 +35,14 @@ def make(result, si=None, width=None, **over):
     with _style([result], width, si):
         for module in dict.fromkeys(map(catalogue.figures, groups)):  # some draw several groups
             made |= dict(module.figures(result, **over))
-        if not made:
+        few = [name for name, figure in made.items() if not len(figure.panels)]
+        if len(few) == len(made):
             why = f"(scene {result.scene}){catalogue.without(result.scene)}"
+            why += "; its points are too few for a curve" * bool(few)
             raise FileError(f"nothing to draw in this result {why}")
+        if few:
+            log.warning("not drawn, as points are too few for a curve: %s", ", ".join(few))
+        made = {name: figure for name, figure in made.items() if name not in few}
         return _finished(made, [result], si)
 
 

@@ -113,12 +113,20 @@ def round_ticks(figure):
     return ticker.MaxNLocator(6 if narrow else 10, steps=[1, 2, 2.5, 5, 10])
 
 
-def symmetric(ax, values, threshold):
-    """Make the axis of y linear up to a threshold, logarithmic beyond, with few labels."""
+def delays(ax, values):
+    """Make the axis of y one of delays, linear unless all but a tenth of them span two decades.
+
+    Then it is linear in a grey band, up to the median size, logarithmic beyond, with few labels.
+    """
+    label(ax.yaxis, DELAY)
+    size = np.abs(values[np.isfinite(values) & (values != 0)])
+    if not len(size) or size.max() < 100 * np.quantile(size, 0.1):
+        return
+    threshold = float(f"{np.median(size):.1g}")
     ax.set_yscale("symlog", linthresh=threshold)
-    largest = np.max(np.abs(values), initial=threshold)
-    ticks = symmetric_ticks(threshold, largest)
+    ticks = symmetric_ticks(threshold, size.max())
     ax.set_yticks(ticks, [_written(tick) for tick in ticks] if len(ticks) == 3 else None)
+    ax.axhspan(-threshold, threshold, color="#e4e4e4", zorder=0, label="linear axis")
 
 
 def symmetric_ticks(threshold, largest):

@@ -10,6 +10,7 @@ import matplotlib
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.transforms import offset_copy
 
@@ -21,9 +22,11 @@ MM = 1 / 25.4  # in inches
 COLUMN, PAGE = 85 * MM, 170 * MM  # widths: one column of a journal, and two
 UNIT = "omega_mx"  # how the line that marks it is found
 FEW, HANDFUL = 100, 10  # points that are marked by dots, and that make no curve
+TOO_FEW = 3  # points that make no panel
 LETTERS_AN_INCH = 15  # to an inch
-LEGEND_COLUMNS = 6  # of a legend
+LEGEND_COLUMNS, LEGEND_ROWS = 6, 2  # at most, of a legend
 LINE, BESIDE = 1 / 6, 0.75  # inches: of a line of text; for (a), a gap, and numbers of the axis
+NAMED = 1.2  # inches of a panel that has room for the name of its axis of y
 # from -1 to 1: negative numbers are the darker ones in grey
 SIGNED = ["#041c4a", "#1f5fa8", "#8fc1e0", "#ffffff", "#fcb398", "#ee6a4a", "#d7301f"]
 SIGNED = LinearSegmentedColormap.from_list("signed", SIGNED).with_extremes(bad="#e4e4e4")
@@ -124,32 +127,62 @@ def single(draw, caption=None, width=COLUMN, height=2.3, **shown):
     return stack([draw], caption, width, height, **shown)
 
 
-def stack(draws, caption=None, width=COLUMN, height=2.1, shared=False, **shown):
+def stack(draws, caption=None, width=COLUMN, height=2.1, shared=False, fewest=TOO_FEW, **shown):
     """Return a page of panels below each other, each as high as said, with its legend above.
 
-    A panel is `draw(ax, **shown)`; the caption is a text, one a panel, or that of their docstrings.
-    `shared`: they have one axis of x and one legend.
+    A panel is `draw(ax, **shown)`; the caption is a text, or that of their docstrings. `shared`:
+    they have one axis of x and one legend. A panel whose curves have up to `fewest` points is left
+    out; a page without panels is no figure.
     """
     figure, panels = page(width, height * len(draws), nrows=len(draws))
-    for draw, ax in zip(draws, panels, strict=True):
-        draw(ax, **shown)
-        if shared:
-            ax.label_outer()
+    both = zip(draws, panels, strict=True)
+    kept = [draw for draw, ax in both if most_points(draw(ax, **shown)) > fewest]
+    if len(kept) < len(draws):
+        figure.panels = ()
+        if kept:
+            figure = stack(kept, caption, width, height, shared, fewest, **shown)
+            figure.caption += f" Not drawn: panels of up to {fewest} points."
+        return figure
     if shared:
+        name_once(panels, 1)
+        for ax in panels:
+            ax.label_outer()
         figure.get_layout_engine().set(h_pad=0.02, hspace=0)
+    figure.caption = caption or lettered(map(caption_of, draws))
     for group in [panels] if shared else [[ax] for ax in panels]:
         legend_above(group)
     figure.align_ylabels()
-    texts = [caption] if isinstance(caption, str) else caption or map(caption_of, draws)
-    figure.caption = lettered(texts)
     return figure
+
+
+def most_points(drawn):
+    """Return how many points the longest has of the curves that were drawn; inf of other things."""
+    lines = [_line(each) for each in (drawn if isinstance(drawn, list) else [drawn])]
+    if not all(isinstance(line, Line2D) for line in lines):
+        return np.inf
+    return max((np.ma.masked_invalid(line.get_ydata()).count() for line in lines), default=0)
+
+
+def _line(drawn):
+    """Return the line of points with their errors; what is drawn otherwise."""
+    return getattr(drawn, "lines", [drawn])[0]
+
+
+def name_once(panels, columns):
+    """Name axes of y in the first column, of low panels that are alike in the middle one alone."""
+    first = range(0, len(panels), columns)
+    low = panels[0].figure.get_figheight() / len(first) < NAMED
+    if low and len({ax.get_ylabel() for ax in panels}) == 1:
+        first = first[len(first) // 2 :][:1]
+    for n, ax in enumerate(panels):
+        ax.yaxis.label.set_visible(n in first)
 
 
 def grid(draws, height, rows, narrowest, **shared):
     """Return a page of panels `draw(ax)` in columns, row by row, and how many columns.
 
     Of more than `rows` panels there is another column, if none is narrower than `narrowest` then,
-    in inches; `height(rows)` is the page's. A `shared` axis of x has one label a column.
+    in inches; `height(rows)` is the page's. Axes are named once, those of x in each column.
     """
     count = len(draws)
     columns = min(-(-count // rows), max(1, int(wide(PAGE) / narrowest)))
@@ -160,9 +193,10 @@ def grid(draws, height, rows, narrowest, **shared):
     figure.panels = made[:count]
     for n, (draw, ax) in enumerate(zip(draws, figure.panels, strict=True)):
         draw(ax)
-        lowest = not shared or n + columns >= count
+        lowest = n + columns >= count
         ax.xaxis.label.set_visible(lowest)
-        ax.tick_params(labelbottom=lowest)
+        ax.tick_params(labelbottom=lowest or not shared)
+    name_once(figure.panels, columns)
     return figure, columns
 
 
@@ -208,13 +242,14 @@ def note(figure, text):
 def legend_above(panels):
     """Put one legend of all panels above the upper right of the first, where no data can be.
 
-    In as many columns as fit, beside the title or else above it. What several curves of a panel
-    have in common comes last, and the dotted line of omega_mx. The figure grows by as much. Of
-    panels beside each other give the last of a row first.
+    In as many columns as fit, read row by row, beside the title or else above it. What several
+    curves of a panel have in common comes last, and the dotted line of omega_mx. The figure grows
+    by as much. Of panels beside each other give the last of a row first. What two rows have no room
+    for the figure's caption lists: the last, of a scale of colours some in between.
     """
     own, common = {}, {}
-    for ax in panels:
-        drawn, labels = ax.get_legend_handles_labels()
+    entries = [ax.get_legend_handles_labels() for ax in panels]
+    for drawn, labels in sorted(entries, key=lambda each: -len(each[1])):  # in one all are in order
         for handle, label in zip(drawn, labels, strict=True):
             (common if labels.count(label) > 1 else own).setdefault(label, handle)
     handles = own | common
@@ -226,12 +261,17 @@ def legend_above(panels):
     before = getattr(first.get_legend(), "grown", 0.0)
     beside = first.get_subplotspec().get_gridspec().ncols  # a wider legend would push these apart
     room = figure.get_figwidth() / beside - 0.5
-    for columns in range(LEGEND_COLUMNS, 0, -1):
+    for columns in range(min(LEGEND_COLUMNS, len(handles)), 0, -1):
+        listed = _listed(handles, LEGEND_ROWS * columns)
+        by_rows = [label for n in range(columns) for label in listed[n::columns]]
         look = {"ncol": columns, "columnspacing": 1.2, "loc": "lower right"}
-        legend = first.legend(handles.values(), handles, bbox_to_anchor=(1, 1), **look)
+        shown = [handles[label] for label in by_rows]
+        legend = first.legend(shown, by_rows, bbox_to_anchor=(1, 1), **look)
         width, legend.grown = _size(legend)
         if width <= room:
             break
+    others = ", ".join(label for label in handles if label not in listed)
+    figure.caption += f" Not in the legend: {others}." * bool(others)
     text = first.set_title(first.get_title(loc="left"), loc="left")
     title, several = _size(text)[0], len(getattr(figure, "panels", ())) > 1
     if (title or several) and (beside > 1 or title + BESIDE + width > room):
@@ -239,6 +279,16 @@ def legend_above(panels):
         legend.set_bbox_to_anchor((1, 1), raised)
         legend.grown += LINE
     figure.grow(legend.grown - before)
+
+
+def _listed(handles, most):
+    """Return up to so many labels of a legend: of a scale of colours some, equally far apart."""
+    shades = {label: getattr(_line(each), "get_color", str)() for label, each in handles.items()}
+    scale = [label for label, shade in shades.items() if np.shape(shade) == (4,)]  # RGBA
+    count = max(most - len(handles) + len(scale), 2)
+    kept = np.linspace(0, max(len(scale) - 1, 0), count).astype(int)
+    left_out = [label for n, label in enumerate(scale) if n not in kept]
+    return [label for label in handles if label not in left_out][:most]
 
 
 def _size(artist):

@@ -22,7 +22,7 @@ def figures(result, **_):
         f"tolerances given to them; median of {counted(accuracy.repeats, 'run')}, "
         "bars: from the shortest to the longest."
     )
-    figure = style.single(panel, caption, style.PAGE, height, accuracy=accuracy)
+    figure = style.single(panel, caption, style.PAGE, height, fewest=0, accuracy=accuracy)
     if not np.all(drawn):
         nothing = ", ".join(dict.fromkeys(accuracy.solver[~drawn]))
         style.note(figure, f"without a result, at some tolerance: {nothing}")

@@ -15,7 +15,8 @@ from pgran.store.estimate import counted
 
 # Numbers of a sample, by their names in the record, which declares how they are called.
 NUMBERS = {name: Quantity(*measure.quantity) for name, measure in measures().items()}
-SINGLE = " Thin lines: single samples; dots: where lines from point to point are not their curve."
+ALONE = "single samples"
+SINGLE = f" Thin lines: {ALONE}; dots: where lines from point to point are not their curve."
 BAND, MOST_BINS = "#C8C8C8", 30
 COARSE_LINE = 0.1  # of an amplitude, that such a line may be wrong
 PANEL_ROWS, NARROWEST_PANEL = 5, 3.0  # of curves, before there is another column; inches of one
@@ -71,7 +72,8 @@ def _samples(found, lattice):
     for name in NUMBERS:
         values = getattr(found, name)
         columns = range(0 if values is None else np.size(values[:1]))
-        shown = [d for d in columns if len(np.unique(known(found, name, d))) > 1]
+        numbers = [known(found, name, d) for d in columns]
+        shown = [d for d in columns if len(numbers[d]) > style.TOO_FEW and np.ptp(numbers[d])]
         if shown:
             yield name, _histograms(found, name, shown)
 
@@ -98,15 +100,11 @@ def _curves_page(found, lattice, panel):
         return 0.5 + rows * (2.4 if rows <= 3 else 1.7 if rows <= PANEL_ROWS else 0.9)
 
     figure, columns = style.grid(draws, height, PANEL_ROWS, NARROWEST_PANEL, sharex=True)
-    named = range(0, count, columns)
-    named = named if len(named) <= PANEL_ROWS else named[len(named) // 2 :][:1]  # they run together
-    for n, (d, ax) in enumerate(zip(order, figure.panels, strict=True)):
+    for d, ax in zip(order, figure.panels, strict=True):
         ax.set_title(names[d] if count > 1 else "")
-        if n not in named:
-            ax.set_ylabel("")
-    style.legend_above([figure.panels[columns - 1]])
-    single = any("seed" in str(line.get_label()) for line in figure.panels[0].get_lines())
+    single = any(line.get_label() == ALONE for line in figure.panels[0].get_lines())
     figure.caption = style.caption_of(panel) + SINGLE * single
+    style.legend_above([figure.panels[columns - 1]])
     return figure
 
 
@@ -143,16 +141,13 @@ def coherent(found, detector):
 
 def delay(ax, found, lattice, detector=0):
     """Group delay against the driving frequency over samples: the band of 80 % of them, and their
-    median; the axis is linear up to a power of ten next to the median, logarithmic beyond.
+    median; with a pale band the axis is linear in it, and logarithmic beyond.
     """
     values, each = found.delay * lattice.omega_mx, found.sample_delay
     each = None if each is None else each * lattice.omega_mx
     drawn = _band(ax, found, lattice, values, each, detector)
-    values = values[:, :, detector]
-    middle = np.nanmedian(np.abs(values[found.statistic.tolist().index("median")]))
-    threshold = 10.0 ** round(math.log10(middle)) if middle > 0 else 1.0
-    scales.symmetric(ax, values[np.isfinite(values)], threshold)
-    scales.label(ax.yaxis, scales.DELAY)
+    alone = [np.ma.compressed(line.get_ydata()) for line in ax.get_lines() if line.get_gid()]
+    scales.delays(ax, np.concatenate([*values[:, :, detector], *alone]))
     return drawn
 
 
@@ -161,12 +156,13 @@ def _band(ax, found, lattice, values, each, detector):
     x, row = found.omega / lattice.omega_mx, found.statistic.tolist().index
     values = values[:, :, detector]
     band = values[row("low")], values[row("high")]
-    ax.fill_between(x, *band, color=BAND, linewidth=0, label="10 to 90 % of the samples")
+    ax.fill_between(x, *band, color=BAND, linewidth=0, label="10 to 90 %")
     if each is not None:
         for n, shade in zip(np.flatnonzero(found.good), style.COLOURS[1:4], strict=False):
             good = resolved(found, n, detector)
             y, look = each[n, :, detector], {"color": shade, "linewidth": 0.4, "markersize": 1.2}
-            ax.plot(x, np.ma.masked_where(~good, y), label=f"seed {found.seed[n]}", **look)
+            look["gid"] = f"seed {found.seed[n]}"
+            ax.plot(x, np.ma.masked_where(~good, y), label=ALONE, **look)
             ax.plot(x[~good], y[~good], ".", **look)
     (median,) = ax.plot(x, values[row("median")], color="black", linewidth=1.0, label="median")
     scales.frequencies(ax, x)
@@ -314,7 +310,7 @@ def intensity(ax, found, window=0, detector=0):
 
 
 def correlation(ax, found, window=0, detector=0):
-    """Correlation of the intensity along the driving frequency, shifts in half widths."""
+    """Correlation of the intensity along the driving frequency, shifts in half widths; thin: 0."""
     known = np.isfinite(found.correlation[window, detector])
     reach = found.shift[window] / found.half_width[window, detector][:, None]
     furthest = min(HALF_WIDTHS, np.max(reach, where=known & np.isfinite(reach), initial=1.0))
@@ -333,7 +329,8 @@ def correlation(ax, found, window=0, detector=0):
 def _transport(found, lattice):
     """Return the figure of profiles over depth, lengths and wave numbers by frequency, delays."""
     panels = [profile, length]
-    if found.wave_number is not None and np.isfinite(found.wave_number).any():
+    known = found.wave_number is not None and np.isfinite(found.wave_number)
+    if np.count_nonzero(known) > style.HANDFUL:
         panels.append(wave_number)
     if found.band_delay is not None:  # files before version 5 have none
         panels.append(band_delay)
@@ -358,7 +355,7 @@ def profile(ax, found, lattice):
 
 def length(ax, found, lattice):
     r"""Attenuation length against the driving frequency where sound propagates, above the first
-    mode (dashed): of the typical amplitude $e^{\langle\ln|A|\rangle}$, of the root mean square,
+    mode: of the typical amplitude $e^{\langle\ln|A|\rangle}$, of the root mean square,
     twice the intensity's, and of the coherent $|\langle A\rangle|$, twice the scattering length.
     Circled: $\langle\ln|A|\rangle$ is not straight, p < .01.
     """
@@ -366,7 +363,9 @@ def length(ax, found, lattice):
     scales.label(ax.yaxis, scales.ATTENUATION)
     if found.first_mode is not None:
         look = {"color": "black", "linestyle": "--", "linewidth": 0.6}
-        ax.axvline(found.first_mode / lattice.omega_mx, **look)
+        first = found.first_mode / lattice.omega_mx
+        ax.axvline(first, label="first mode", **look)
+        scales.frequencies(ax, [0.0, first])
     drawn = _by_frequency(ax, found, lattice, FALLS)
     if found.straightness is not None:
         refused = found.omega[found.refused] / lattice.omega_mx, found.length[found.refused]
@@ -383,13 +382,15 @@ def wave_number(ax, found, lattice):
 def _by_frequency(ax, found, lattice, named):
     """Draw numbers of a record as far as it has them, so many times."""
     x, rows = found.omega / lattice.omega_mx, []
-    scales.frequencies(ax, x)
     for name, (words, times) in named.items():
         values, errors = (getattr(found, name + end) for end in ("", "_error"))
         if values is not None and np.isfinite(values).any():
             rows.append((times * values, times * errors, words))
-    look = {"markersize": 2, "elinewidth": 0.6}
-    return marks.points(ax, x, *zip(*rows, strict=True), **look) if rows else []
+    if not rows:
+        return []
+    drawn = marks.points(ax, x, *zip(*rows, strict=True), markersize=2, elinewidth=0.6)
+    scales.frequencies(ax, x[np.isfinite([values for values, *_ in rows]).any(axis=0)])
+    return drawn
 
 
 def band_delay(ax, found, lattice):

@@ -5,7 +5,6 @@ import numpy as np
 from pgran.draw import captions, marks, scales, style
 from pgran.store.record import site_name
 
-NAMED_CURVES = 6  # curves in a legend
 DENSITY = scales.DENSITY._replace(name="local density of states")
 
 errors = captions.amplitudes
@@ -32,7 +31,8 @@ def magnitude(ax, record, medium):
     names = [f"{one} from {other}" for one, other in zip(heard, pushed, strict=True)]
     limit, values = marks.upper_limits(record)[:, d, p], record.amplitude[:, d, p]
     ax.set(yscale="log", ylabel="displacement $|G|$ (force = 1)")
-    return _curves(ax, record, medium, values, (values > 0) & np.isnan(limit), names, limit)
+    good = (values > 0) & np.isnan(limit)
+    return marks.over_frequency(ax, record, medium, values, good, names, limit)
 
 
 def local_density(ax, record, medium):
@@ -41,10 +41,4 @@ def local_density(ax, record, medium):
     """
     values, names = record.local_density * medium.omega_mx, style.ball_names(record.source)
     scales.label(ax.yaxis, DENSITY)
-    return _curves(ax, record, medium, values, np.isfinite(values), names)
-
-
-def _curves(ax, record, medium, values, good, names, limit=None):
-    """Draw curves over the driving frequency, with a legend of a few."""
-    names = names if len(names) <= NAMED_CURVES else None
-    return marks.over_frequency(ax, record, medium, values, good, names, limit)
+    return marks.over_frequency(ax, record, medium, values, np.isfinite(values), names)

@@ -11,13 +11,13 @@ def figures(result, **_):
     """Yield the panels below each other."""
     found = result.likeness
     panels = [correlation, stretch] + [decorrelation] * (found.of == "pulse")
-    page = style.stack(panels, shared=True, found=found)
+    page = style.stack(panels, shared=True, fewest=0, found=found)
     page.caption += f" A: {found.label_a}; B: {found.label_b}. Bars: windows, and standard errors."
     yield "likeness", page
 
 
 def correlation(ax, found):
-    """Correlation of A and B in windows; open: under the stretch that makes it largest."""
+    """Correlation of A and B in windows; open: under the stretch of the largest; thin line: 0."""
     _points(ax, found, "", found.stretched, 0 * found.stretched, told=False, fillstyle="none")
     return _points(ax, found, "correlation", found.correlation, found.correlation_error)
 

@@ -76,8 +76,8 @@ def dominant(ax, projection, lattice):
 
 
 def single_modes(ax, projection, lattice):
-    """Coefficients of successive normal modes against the driving frequency; broken lines: their
-    own frequencies.
+    """Coefficients of successive normal modes against the driving frequency; dotted: their own
+    frequencies.
 
     (Paper: cifreq.) The three modes nearest to .6 omega_mx, or to the middle of a sweep that is
     elsewhere.

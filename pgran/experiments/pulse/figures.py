@@ -55,7 +55,7 @@ def seismogram(ax, signals, lattice):
     wall = signals.wall / np.abs(signals.wall).max()
     returns = abs(wall[-1]) < 0.1  # else signals do not swing about 0, which an envelope supposes
     ax.plot(time, 0.45 * wall, color=style.DRIVEN)
-    drawn, fronts, label = [], [signals.wall_arrival], "envelope"
+    drawn, fronts = [], [signals.wall_arrival]
     driven = "driven wall" if lattice.group == "lattice" else "driven balls"
     rows = [driven if lattice.push is None else "force"]
     for row, d in enumerate(order, 1):
@@ -67,8 +67,7 @@ def seismogram(ax, signals, lattice):
         scale = 0.45 / largest[d]
         if returns:
             above = row + scale * signals.envelope[:, d]
-            ax.plot(time, above, color="#aaaaaa", linewidth=0.6, label=label)
-            label = None
+            ax.plot(time, above, color="#aaaaaa", linewidth=0.6, label="envelope")
         drawn += ax.plot(time, row + scale * signals.displacement[:, d], color="black")
     ends = np.arange(len(rows)) + np.array([[-0.3], [0.3]])
     look = {"color": style.FAILED, "linewidth": 1.2, "zorder": 3}
@@ -115,14 +114,13 @@ def _spectra(signals, lattice, response):
     def height(rows):
         return 0.4 + max(1.2 * rows, 2.0)
 
-    draws = [partial(spectrum, number=d, **shown) for d in order]
+    heard = [d for d in order if ratio(signals, d)[2].any()] or order  # not below the error
+    draws = [partial(spectrum, number=d, **shown) for d in heard]
     alike = {"sharex": True, "sharey": True}
     figure, columns = style.grid(draws, height, PANEL_ROWS, NARROWEST_PANEL, **alike)
     for ax in figure.panels:
         ax.set_ylabel("")
     figure.supylabel(scales.AMPLITUDE, fontsize="medium")
-    if response:
-        style.legend_above([figure.panels[columns - 1], *figure.panels])
     end = signals.time[-1] * lattice.omega_mx
     until = rf"until $T$ = {scales.said(end, lattice, scales.TIME_IN_WORDS)}"
     style.above(figure, f"signal/drive {until}", "left: of the largest speed, near that end")
@@ -132,11 +130,13 @@ def _spectra(signals, lattice, response):
         "last quarter of that time over the largest of all; where some is left frequencies are "
         f"blurred by {blurred} or more."
     )
+    if response:
+        style.legend_above([figure.panels[columns - 1], *figure.panels])
     return figure
 
 
 def spectrum(ax, signals, lattice, number, response=None):
-    r"""Spectra of the signals of balls over that of the drive.
+    r"""Spectra of the signals of balls over that of the drive, where they are above their error.
 
     Velocities are faded out over the last quarter of the time T. This blurs the spectrum of a ball
     that moves there still, over 2 pi / T or, if it began late, more: the title says how much of its
@@ -147,7 +147,7 @@ def spectrum(ax, signals, lattice, number, response=None):
     omega, size, good = ratio(signals, number)
     x = omega / lattice.omega_mx
     ax.set(yscale="log", ylabel=scales.AMPLITUDE)
-    scales.frequencies(ax, x[np.isfinite(size)])
+    scales.frequencies(ax, x[np.isfinite(size)], scales.ANY_FREQUENCY)
     low, high = ax.get_xlim()
     for d in [] if response is None else _heard_at(signals.detector[number], response):
         swept, there = response.omega / lattice.omega_mx, marks.known_amplitudes(response)[:, d]

@@ -127,9 +127,9 @@ def over(results, looks):
         steps = [None] * len(steps)
 
     def spectra(ax):
-        """Power spectra of the amplitude, and the laws fitted to them."""
+        """Power spectra of the amplitude, pale, and the laws fitted to them."""
         for result, look, step in zip(results, looks, steps, strict=True):
             told = f":\n{exponent(result.spectrum)}" if len(results) <= len(style.COLOURS) else ""
             power(ax, result.spectrum, look.label + told, look.colour, None, look.line, step)
 
-    yield "spectrum", style.single(spectra)
+    yield "spectrum", style.single(spectra, None, style.PAGE)

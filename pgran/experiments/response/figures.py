@@ -25,7 +25,9 @@ def figures(result, modes=None, **_):
     """Yield the amplitudes, a panel a regime, phases, group delay, wall's force, and bonds."""
     response, lattice = result.response, result.medium
     shown = {"response": response, "lattice": lattice, "modes": modes}
-    yield "amplitude", amplitude_page([(response, lattice, None, {})], modes)
+    figure = amplitude_page([(response, lattice, None, {})], modes)
+    figure.panels = figure.panels if len(response.omega) > style.TOO_FEW else ()
+    yield "amplitude", figure
     figure = style.single(phase, height=2.1, **shown)
     figure.caption += _fits(response, lattice, style.ball_names(response.detector))
     yield "phase", figure
@@ -33,9 +35,8 @@ def figures(result, modes=None, **_):
         count = len(response.detector)
         delays = [partial(delay, d=d) for d in range(count)]
         height = 2.1 if count == 1 else 1.5 if count < 5 else 1.0
-        if np.isfinite(response.delay).any():
-            caption = style.caption_of(delay)
-            yield "delay", style.stack(delays, caption, height=height, shared=True, **shown)
+        caption = style.caption_of(delay)
+        yield "delay", style.stack(delays, caption, height=height, shared=True, **shown)
     if response.force is not None and np.any(known_force(response)):
         panels = (force, force_phase, power)[: 3 if np.any(known_power(response)) else 2]
         yield "wall", style.stack(panels, height=1.4, shared=True, **shown)
@@ -77,11 +78,11 @@ def amplitude_page(shown, modes=None):
                 amplitude(ax, response, lattice, modes, within, names, **look)
         ax.set_title("" if few else REGIMES[regime])
         ax.set(xlabel="", ylabel="")
-    style.legend_above(panels)
     scales.label(panels[-1].xaxis, scales.FREQUENCY)
     figure.supylabel(scales.AMPLITUDE, fontsize="medium")
     several = [f"({letter}) {REGIMES[n]}" for letter, n in zip("abc", present, strict=False)]
     figure.caption = style.caption_of(amplitude) + f" {', '.join(several)}." * (len(present) > 1)
+    style.legend_above(panels)
     return figure
 
 
@@ -117,7 +118,6 @@ def phase(ax, response, lattice, modes=None, labels=None, alone=True, **line):
         y = response.phase_slope[d] * ends[:, d] + response.phase_intercept[d]
         look = {"color": style.pale(drawn[d].get_color()), "linewidth": 3, "zorder": 1}
         ax.plot(ends[:, d], y, label=fit, **look)
-        fit = None
     return drawn
 
 
@@ -155,15 +155,12 @@ def _fits(response, lattice, names):
 
 
 def delay(ax, response, lattice, modes=None, d=0):
-    r"""Group delay $-d \arg A / d\omega$ of the steady response; the axis is linear in the grey
-    band, up to the median, and logarithmic beyond.
+    r"""Group delay $-d \arg A / d\omega$ of the steady response; with a grey band the axis is
+    linear in it, up to the median, and logarithmic beyond.
     """
     values = response.delay[:, [d]] * lattice.omega_mx
     good = (response.converged_reason > 0)[:, None] & np.isfinite(values)
-    middle = float(f"{np.median(np.abs(values[good])):.1g}") if good.any() else 0.0
-    scales.symmetric(ax, values[good], middle or 1.0)
-    ax.axhspan(-(middle or 1.0), middle or 1.0, color="#e4e4e4", zorder=0, label="linear axis")
-    scales.label(ax.yaxis, scales.DELAY)
+    scales.delays(ax, values[good])
     ax.set_title(style.ball_names(response.detector)[d])
     return _curves(ax, response, lattice, modes, values, good)
 
@@ -234,7 +231,7 @@ def over(results, looks):
             phase(ax, response, lattice, labels=names, alone=False, **look)
 
     yield "amplitude", amplitude_page(shown)
-    figure = style.single(phases, style.caption_of(phase))
+    figure = style.single(phases, style.caption_of(phase), style.PAGE)
     for response, lattice, names, _ in shown[: 0 if many else None]:
         figure.caption += _fits(response, lattice, names)
     yield "phase", figure
@@ -254,7 +251,7 @@ def add_measured(made, results, data, label, scale=1.0):
     x = data["omega"] / units.pop()
     look = style.RING | {"markersize": 3, "markeredgewidth": 0.6, "zorder": 4}
     seen, name = np.zeros(len(x), dtype=bool), label.replace("$", r"\$")
-    for part in [part for part in ("amplitude", "phase") if part in data]:
+    for part in [part for part in ("amplitude", "phase") if part in data and part in made]:
         for ax in made[part].panels:
             low, high = ax.get_xlim()
             inside = (low <= x) & (x <= high)

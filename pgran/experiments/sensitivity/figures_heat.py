@@ -16,7 +16,7 @@ from pgran.store.si import SI
 QUARTER = 25.0  # %, what the heater of the experiment changed
 CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
 AWAY = scales.Quantity("distance of the warm ball from the detector", unit="m")
-LABELS = {"warmed": "ball warmed", "frozen": "neighbours frozen", "cut": "bond cut"}
+LABELS = {"warmed": "ball warmed", "frozen": "rest frozen", "cut": "bond cut"}
 LINES = "-", "--", ":"  # of what is changed
 GROUPS = 8  # of balls by their distance
 
@@ -35,9 +35,8 @@ def figures(result, **_):
                 draw, what = cut, "change in dB"
             words = partial(_words, name=name)
             yield from maps.pages(name, draw, heat, medium, what, words)
-    several = bool(np.count_nonzero(heat.converged_reason > 0) > maps.MOST)
     apart = heat.growth is not None and heat.warmed is not None and medium.has_places
-    panels = [distribution] + [over_frequency] * several + [over_distance] * apart
+    panels = [distribution, over_frequency] + [over_distance] * apart
     figure = style.stack(panels, heat=heat, medium=medium)
     maps.note_failed(figure, heat)
     yield "changes", figure
@@ -112,7 +111,7 @@ def _words(seen, record, at, d, name):
 
 def distribution(ax, heat, medium=None):
     """Share of balls warmed, or bonds cut, that change the amplitude by more, at all frequencies;
-    dotted: a quarter.
+    dotted: a quarter, and numbers: the share of cases with more.
     """
     drawn, names = [], style.ball_names(heat.detector)
     for line, (label, moved) in zip(LINES, changes(heat), strict=False):
@@ -120,7 +119,7 @@ def distribution(ax, heat, medium=None):
             size, share = maps.shares(moved[:, d])
             quarter = np.count_nonzero(size >= QUARTER) / max(len(size), 1)
             words = f"{name}, " * (len(names) > 1)
-            words += f"{label}: {100 * quarter:.3g} % of cases above a quarter"
+            words += f"{label}: {100 * quarter:.3g} %"
             drawn += ax.plot(size, share, color=shade, linestyle=line, label=words)
     ax.axvline(QUARTER, color=style.UNRESOLVED, linestyle=":")
     ax.set(xlabel=CHANGE, ylabel="share of cases with more")
@@ -152,7 +151,7 @@ def over_frequency(ax, heat, medium):
 
 def over_distance(ax, heat, medium):
     """Change against the distance of the warm ball from the detector, at all frequencies; lines:
-    medians of as many balls each.
+    medians of as many balls each; dotted: a quarter.
     """
     moved, drawn = 100 * change(heat, "warmed")[1], []
     names, shades = style.ball_names(heat.detector), style.colours(len(heat.detector))
@@ -198,7 +197,7 @@ def growths(results):
         shares = *np.quantile(known, [0.5, 0.9]), np.mean(known >= 0.25)
         point = heat.growth_overlap.mean(), *(100 * share for share in shares)
         by_growth.setdefault(name, []).append(point)
-    figure = style.stack([sizes, often], points=by_growth)
+    figure = style.stack([sizes, often], fewest=0, points=by_growth)
     if failed := sum(result.heat.failures for result in results):
         style.note(figure, f"NOT IN IT: {counted(failed, 'case')} that failed")
     return figure

@@ -219,7 +219,9 @@ def shares(values, total=None):
 
 
 def logarithmic(ax, curves, reach=0.0):
-    """Make axes of shares logarithmic, up to `reach` at least, without what is next to nothing."""
-    largest = max((curve.get_xdata().max(initial=0.0) for curve in curves), default=0.0) or 1.0
-    right = 2 * max(largest, reach)
-    ax.set(xscale="log", yscale="log", ylim=(None, 1), xlim=(1e-5 * largest, right))
+    """Make axes of shares logarithmic, up to `reach` at least, from where 95 % are beyond."""
+    sizes = [curve.get_xdata() for curve in curves if np.any(curve.get_xdata() > 0)]
+    largest = max((size.max() for size in sizes), default=1.0)
+    least = min((np.quantile(size, 0.05) for size in sizes), default=0.0)
+    least, right = max(least, 1e-5 * largest), 2 * max(largest, reach)
+    ax.set(xscale="log", yscale="log", ylim=(None, 1), xlim=(least, right))

@@ -7,7 +7,7 @@ from matplotlib.colors import LogNorm
 
 from pgran.draw import captions, marks, scales, style
 
-LEAST_SHOWN = 1e-3  # of the largest S: what is less looks the same
+LEAST_SHOWN = 1e-2  # of the largest S: what is less looks the same
 WAVE_NUMBER = scales.Quantity("wave number $q$", "(1/length)")
 OMEGA = scales.ANY_FREQUENCY._replace(own=r"$\Omega/\omega_{mx}$")
 
@@ -21,6 +21,7 @@ def figures(result, **_):
     maps = [partial(spectra, **both, branch=b) for b in range(len(record.branch))]
     page, _ = style.grid(maps, lambda rows: 2.6, rows=1, narrowest=2.0)
     for ax in page.panels:
+        ax.set_ylim(top=max(each.get_ylim()[1] for each in page.panels))
         ax.label_outer()
     drawn, bar = page.panels[0].collections[0], {"label": r"$S(q,\omega)$ / largest"}
     page.colorbar(drawn, ax=list(page.panels), aspect=30, **bar)
@@ -53,7 +54,8 @@ def spectra(ax, record, medium, branch=0):
     fitted = np.isfinite(middle)
     ax.errorbar(record.q[fitted], middle[fitted], np.abs(half[fitted]), **look)
     ax.set_title(record.branch[branch])
-    ax.set_ylim(*_edges(omega)[[0, -1]])
+    seen = np.nanmax(values, axis=1, initial=0.0) > LEAST_SHOWN
+    ax.set_ylim(_edges(omega)[0], _edges(omega)[1:][seen].max())
     scales.label(ax.xaxis, WAVE_NUMBER)
     scales.label(ax.yaxis, scales.ANY_FREQUENCY)
     return drawn
@@ -74,8 +76,8 @@ def speed(ax, record, medium):
 
 
 def scattering(ax, record, medium):
-    r"""$\pi\Gamma/\Omega$ of the oscillators by scattering; vertical lines: where it is 1, and
-    waves end (Ioffe and Regel).
+    r"""$\pi\Gamma/\Omega$ of the oscillators by scattering; vertical lines: where it is 1, dotted,
+    and waves end (Ioffe and Regel).
     """
     rates = record.scattering, record.scattering_error
     ratio, error = (np.pi * rate / record.frequency for rate in rates)
