@@ -64,10 +64,18 @@ def lay_out(figure):
         figure.get_layout_engine().execute(figure)
 
 
+def rows_of(legend):
+    """The rows of a legend; matplotlib has its texts column by column."""
+    listed = [text.get_text() for text in legend.get_texts()]
+    columns = getattr(legend, "_ncols", None) or legend._ncol  # of matplotlib 3.5
+    rows = zip_longest(*np.array_split(listed, columns))
+    return [[text for text in row if text is not None] for row in rows]
+
+
 def legend(figure):
     """What the legend of a page lists, which lies above its panels, whole and within the page.
 
-    Besides the dotted line of omega_mx, which it lists if there is one.
+    Besides the dotted line of omega_mx.
     """
     lay_out(figure)
     (shown,) = (ax.get_legend() for ax in figure.axes if ax.get_legend())
@@ -75,16 +83,8 @@ def legend(figure):
     assert all(ax.bbox.y1 <= box.y0 for ax in figure.panels if ax.get_legend())
     assert figure.bbox.padded(1).contains(*box.min)
     assert figure.bbox.padded(1).contains(*box.max)
-    listed = [text.get_text() for text in shown.get_texts()]  # column by column
-    columns = getattr(shown, "_ncols", None) or shown._ncol  # of matplotlib 3.5
-    rows = list(zip_longest(*np.array_split(listed, columns)))
-    assert len(rows) <= style.LEGEND_ROWS
-    texts = [text for row in rows for text in row if text is not None]
-    if any(lines(ax, gid=style.UNIT) for ax in figure.panels):
-        unit = r"$\omega_{mx}$"
-        assert texts[-1] == unit or f"{unit}." in figure.caption
-        texts = [text for text in texts if text != unit]
-    return texts
+    texts = [text for row in rows_of(shown) for text in row]
+    return [text for text in texts if text != r"$\omega_{mx}$"]
 
 
 def saving(monkeypatch):

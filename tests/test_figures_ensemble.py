@@ -243,8 +243,7 @@ def test_transport_is_points_with_their_errors():
             np.testing.assert_array_equal(hollow, ~found.propagates)
     ax = draw(ensemble.length, found, result.medium)
     known = np.isfinite([getattr(found, name) for name, _ in falls]).any(axis=0)
-    ends = found.first_mode / unit, found.omega[known].max() / unit
-    assert ax.get_xlim() == pytest.approx([0, ends[1]])
+    assert ax.get_xlim() == pytest.approx([0, found.omega[known].max() / unit])
     assert [found.first_mode / unit] * 2 in [list(line.get_xdata()) for line in ax.get_lines()]
 
 

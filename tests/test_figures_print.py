@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from figure_reading import curves, draw, labels, lines, marks, note, page_of
+from figure_reading import curves, draw, labels, lines, marks, note, page_of, rows_of
 from figure_results import (
     SWEEP,
     UNIT,
@@ -30,6 +30,7 @@ import pgran
 from pgran.draw import bonds, scales, style, view
 from pgran.draw import pages as figures
 from pgran.draw.marks import points as errorbars
+from pgran.errors import FileError
 from pgran.experiments.modes import figures as modes
 from pgran.experiments.response import figures as response
 from pgran.medium.base import record_of
@@ -88,6 +89,8 @@ SCENES = {
               "signals field energy spectrum bonds"),
     "bare signals": (bare_signals, "signals spectrum bonds"),
     "sensitivity": (sensitivity, "warmed cut changes sensitivity flux distribution bonds"),
+    "many balls": (lambda: respond(lattice=LARGER, detectors=[(n, 5) for n in range(12)]),
+                   "amplitude phase delay wall bonds"),
     "green": (lambda: result_of(pgran.green(LARGER, UNIT * SWEEP[::9], [(4, 5), (8, 5)]), LARGER),
               "green"),
     "network": (network, "shapes speeds participation density reduced network amplitude phase "
@@ -119,6 +122,7 @@ def test_nothing_overlaps_on_paper(scene):
         assert figure.get_figwidth() == pytest.approx(85 / 25.4)
         assert "NOT" not in note(figure)
         _check_panels(figure)
+        _check_legends(figure)
         if scene in CROWDED:
             _check_texts(name, figure)
 
@@ -179,6 +183,19 @@ def _check_panels(figure):
     assert figure.caption.endswith(".")
 
 
+def _check_legends(figure):
+    """Two rows, balls in their order; there, above the panels or in the caption is each name."""
+    told = f"{figure.caption} {note(figure)} negative detector driven wall"
+    names = [name for ax in figure.panels for name in labels(ax)]
+    for rows in [rows_of(ax.get_legend()) for ax in figure.axes if ax.get_legend()]:
+        listed = [name for row in rows for name in row]
+        balls = [name for name in listed if name.startswith("ball (")]
+        assert len(rows) <= style.LEGEND_ROWS
+        assert balls == list(dict.fromkeys(name for name in names if name in balls))
+        told += " ".join(listed)
+    assert [name for name in names if name not in told] == []
+
+
 def test_marks_of_modes_can_be_told_apart_or_are_a_density():
     result = respond()
     few, many = UNIT * np.linspace(0.2, 1.1, 40), UNIT * np.linspace(0.2, 1.1, 900)
@@ -211,6 +228,8 @@ def test_a_logarithmic_axis_has_numbers(low, high):
 
 
 def test_few_points_that_are_no_curve_are_points():
+    with pytest.raises(FileError, match="points are too few for a curve"):
+        figures.make(project([0.5], (2, 1)))  # of two modes
     (ax,) = page_of(respond([0.2, 0.5, 0.6, 1.1]), "amplitude").axes  # one panel, points inside
     assert ax.get_xlim() == pytest.approx((0.155, 1.145))
     few, whole = respond(SWEEP[::20]), respond()

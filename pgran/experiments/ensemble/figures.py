@@ -15,8 +15,7 @@ from pgran.store.estimate import counted
 
 # Numbers of a sample, by their names in the record, which declares how they are called.
 NUMBERS = {name: Quantity(*measure.quantity) for name, measure in measures().items()}
-ALONE = "single samples"
-SINGLE = f" Thin lines: {ALONE}; dots: where lines from point to point are not their curve."
+SINGLE = " Thin lines: single samples; dots: where lines from point to point are not their curve."
 BAND, MOST_BINS = "#C8C8C8", 30
 COARSE_LINE = 0.1  # of an amplitude, that such a line may be wrong
 PANEL_ROWS, NARROWEST_PANEL = 5, 3.0  # of curves, before there is another column; inches of one
@@ -102,7 +101,7 @@ def _curves_page(found, lattice, panel):
     figure, columns = style.grid(draws, height, PANEL_ROWS, NARROWEST_PANEL, sharex=True)
     for d, ax in zip(order, figure.panels, strict=True):
         ax.set_title(names[d] if count > 1 else "")
-    single = any(line.get_label() == ALONE for line in figure.panels[0].get_lines())
+    single = any("seed" in str(line.get_gid()) for line in figure.panels[0].get_lines())
     figure.caption = style.caption_of(panel) + SINGLE * single
     style.legend_above([figure.panels[columns - 1]])
     return figure
@@ -162,7 +161,7 @@ def _band(ax, found, lattice, values, each, detector):
             good = resolved(found, n, detector)
             y, look = each[n, :, detector], {"color": shade, "linewidth": 0.4, "markersize": 1.2}
             look["gid"] = f"seed {found.seed[n]}"
-            ax.plot(x, np.ma.masked_where(~good, y), label=ALONE, **look)
+            ax.plot(x, np.ma.masked_where(~good, y), label="single samples", **look)
             ax.plot(x[~good], y[~good], ".", **look)
     (median,) = ax.plot(x, values[row("median")], color="black", linewidth=1.0, label="median")
     scales.frequencies(ax, x)
