@@ -2,7 +2,7 @@
 # Draws each kind of figure once, with its caption and what made it, and writes FOLDER/index.html,
 # results/gallery by default: of those files of options/ that take seconds, without variations.
 #
-#   bash jobs/gallery.sh [FOLDER]    a minute; what is complete in the folder is not run again
+#   bash jobs/gallery.sh [FOLDER]    two minutes; what is complete in the folder is not run again
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 folder=${1:-results/gallery}
