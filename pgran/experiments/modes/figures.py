@@ -120,6 +120,7 @@ def speeds(ax, modes, lattice):
     ax.set_yscale("log" if scales.wide(x / k) else "linear")
     scales.label(ax.yaxis, scales.MODE_SPEED)
     scales.frequencies(ax, x, scales.MODE_FREQUENCY, aside=ASIDE, log=scales.wide(x))
+    return [line for line in ax.get_lines() if line.get_marker() == "."]
 
 
 def participation(ax, modes, lattice, **look):
