@@ -30,7 +30,6 @@ import pgran
 from pgran.draw import bonds, scales, style, view
 from pgran.draw import pages as figures
 from pgran.draw.marks import points as errorbars
-from pgran.errors import FileError
 from pgran.experiments.modes import figures as modes
 from pgran.experiments.response import figures as response
 from pgran.medium.base import record_of
@@ -228,8 +227,7 @@ def test_a_logarithmic_axis_has_numbers(low, high):
 
 
 def test_few_points_that_are_no_curve_are_points():
-    with pytest.raises(FileError, match="points are too few for a curve"):
-        figures.make(project([0.5], (2, 1)))  # of two modes
+    assert all(len(page.panels) for page in figures.make(project([0.5], (2, 1))).values())
     (ax,) = page_of(respond([0.2, 0.5, 0.6, 1.1]), "amplitude").axes  # one panel, points inside
     assert ax.get_xlim() == pytest.approx((0.155, 1.145))
     few, whole = respond(SWEEP[::20]), respond()

@@ -31,19 +31,21 @@ class Figures(dict):
 def make(result, si=None, width=None, **over):
     """Return all figures of a result by their names. See `pgran.plot`."""
     groups = [group for group in sorted(catalogue.FIGURES) if hasattr(result, group)]
-    made, si = {}, si or SI.of(result)
-    with _style([result], width, si):
-        for module in dict.fromkeys(map(catalogue.figures, groups)):  # some draw several groups
-            made |= dict(module.figures(result, **over))
-        few = [name for name, figure in made.items() if not len(figure.panels)]
-        if len(few) == len(made):
-            why = f"(scene {result.scene}){catalogue.without(result.scene)}"
-            why += "; its points are too few for a curve" * bool(few)
-            raise FileError(f"nothing to draw in this result {why}")
-        if few:
-            log.warning("not drawn, as points are too few for a curve: %s", ", ".join(few))
-        made = {name: figure for name, figure in made.items() if name not in few}
-        return _finished(made, [result], si)
+    si = si or SI.of(result)
+    for every in (False, True):  # panel, of few points too, where all have few
+        with _style([result], width, si, every):
+            made = {}
+            for module in dict.fromkeys(map(catalogue.figures, groups)):  # some draw several groups
+                made |= dict(module.figures(result, **over))
+            few = [name for name, figure in made.items() if not len(figure.panels)]
+            if len(few) < len(made):
+                if few:
+                    names = ", ".join(few)
+                    log.warning("not drawn, as points are too few for a curve: %s", names)
+                made = {name: figure for name, figure in made.items() if name not in few}
+                return _finished(made, [result], si)
+    why = f"(scene {result.scene}){catalogue.without(result.scene)}"
+    raise FileError(f"nothing to draw in this result {why}")
 
 
 def compare(results, labels, si=None, width=None):
@@ -76,7 +78,7 @@ def add_measured(made, results, data, label, scale=1.0):
 
 
 @contextlib.contextmanager
-def _style(results, width=None, si=None):
+def _style(results, width=None, si=None, every=False):
     """Make the style and units hold for a while; raise a FileError without a unit of frequency."""
     if any(hasattr(each, "medium") and not each.medium.omega_mx > 0 for each in results):
         raise FileError("nothing to draw in this result: without stiff bonds omega_mx is 0")
@@ -91,7 +93,7 @@ def _style(results, width=None, si=None):
         raise FileError(
             f"matplotlib needs a folder that it can write to ({error}): let MPLCONFIGDIR name one"
         ) from None
-    with style.applied(width, si):
+    with style.applied(width, si, every):
         yield
 
 

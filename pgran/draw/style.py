@@ -59,16 +59,17 @@ for _tick in ("xtick", "ytick"):
     RC |= {f"{_tick}.labelsize": 7, f"{_tick}.major.size": 3, f"{_tick}.major.width": 0.6}
 
 
-_asked = ContextVar("width and units", default=(None, None))
+_asked = ContextVar("width and units", default=(None, None, False))
 
 
 @contextlib.contextmanager
-def applied(width=None, si=None):
+def applied(width=None, si=None, every=False):
     """Make this style hold for a while, whatever the user's matplotlibrc says.
 
     `width`: of all pages, in mm, instead of their own. `si`: units of axes and of numbers in words.
+    `every` panel is drawn, however few its points are.
     """
-    before = _asked.set((width and width * MM, si))
+    before = _asked.set((width and width * MM, si, every))
     try:
         with matplotlib.rc_context():
             matplotlib.rcdefaults()
@@ -134,6 +135,7 @@ def stack(draws, caption=None, width=COLUMN, height=2.1, shared=False, fewest=TO
     they have one axis of x and one legend. A panel whose curves have up to `fewest` points is left
     out; a page without panels is no figure.
     """
+    fewest = 0 if _asked.get()[2] else fewest
     figure, panels = page(width, height * len(draws), nrows=len(draws))
     both = zip(draws, panels, strict=True)
     kept = [draw for draw, ax in both if most_points(draw(ax, **shown)) > fewest]
