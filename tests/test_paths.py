@@ -24,7 +24,7 @@ PATHS = {
     f"-scene relaxation {SMALL} -relax_steps 40": (53, 9300),
     "-scene modes -lattice_shape 6,5": (50, 8810),
     f"-scene ensemble -ensemble_samples 2 {SWEEP}": (56, 10220),
-    "plot": (46, 7010),
+    "plot": (46, 7050),
 }
 
 
