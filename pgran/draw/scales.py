@@ -130,10 +130,12 @@ def delays(ax, values):
 
 
 def symmetric_ticks(threshold, largest):
-    """Return 0, a few powers of ten from a threshold, or that, to the largest value, both signs."""
+    """Return 0, a few powers of ten from a threshold, or about that, to the largest, both signs."""
     low, high = math.ceil(math.log10(threshold)), math.floor(math.log10(largest))
     powers = 10.0 ** np.arange(low, high + 1)[:: -max(1, -(-(high - low + 1) // 3))]
-    powers = powers if len(powers) else [float(f"{threshold:.1g}")]
+    if not len(powers):
+        digit = 10.0 ** math.floor(math.log10(threshold))
+        powers = [math.ceil(threshold / digit) * digit]
     return [*np.negative(powers), 0.0, *powers]
 
 

@@ -11,9 +11,9 @@ import math
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.medium.base import AXES, record_of
+from pgran.medium.base import AXES
 from pgran.medium.contacts import tangents
-from pgran.medium.space import as_network, reaches
+from pgran.medium.space import reaches
 from pgran.medium.springs import FREE
 from pgran.run.machine import check_memory
 
@@ -29,24 +29,13 @@ class Waves:
     """
 
     def __init__(self, medium):
-        network = as_network(record_of(medium)).built if medium.is_grid else medium
-        if network.position is None:
-            raise InputError("-network_file: waves need the positions of the balls")
-        if medium.components > 1 and network.position.shape[1] != medium.axes:
-            raise InputError("-network_file: positions and normals differ in their dimensions")
-        self.medium, self.place = medium, network.position[network.free]
-        self.contact = np.median(np.linalg.norm(reaches(network)[0], axis=1))
-        self.axes = self.place.shape[1]
-        self.scalar = medium.components == 1
+        self.medium, self.scalar = medium, medium.components == 1
         self.branches = ("scalar",) if self.scalar else ("longitudinal", "transverse")
-        nowhere = np.zeros(self.axes)
-        box, gravity = (nowhere if v is None else v for v in (network.box, network.gravity))
-        of_free = np.any(network.held[network.bond] == FREE, axis=1) & (network.stiffness != 0)
-        touching = np.unique(network.bond[of_free])
-        held = network.position[touching[network.held[touching] != FREE]]
+        ends = of_lattice if medium.is_grid else of_network
+        self.place, low, high, box, self.contact = ends(medium)
+        self.axes, nowhere = len(low), np.zeros(len(low))
         first, last = self.place.min(axis=0), self.place.max(axis=0)
-        low, high = (held.min(axis=0), held.max(axis=0)) if len(held) else (first, last)
-        self.walled = (low < first) & (last < high) & (box == 0) & (gravity == 0)
+        self.walled = (low < first) & (last < high)
         self.start = np.where(self.walled, low, 0.0)
         period = np.where(self.walled, 2 * (high - low), box)  # of the wave n = 1
         self.unit = np.divide(2 * math.pi, period, out=nowhere.copy(), where=period > 0)
@@ -173,3 +162,28 @@ class Waves:
         at = *np.unravel_index(means.argmax(axis=0), sums.shape[:2]), np.arange(len(vectors))
         share = sums[at] * np.array([1, self.axes - 1])[at[1]]  # of all transverse directions
         return moments[at] / sums[at], np.array(self.branches)[at[1]], share
+
+
+def of_lattice(lattice):
+    """Return where balls are (n, d), the walls, or balls, at both ends, no period, the spacing."""
+    shape = np.array(lattice.shape, dtype=float)
+    walls = [[f"{x}{side}" not in lattice.free for x in AXES[: len(shape)]] for side in "-+"]
+    low, high = np.where(walls[0], -1.0, 0.0), np.where(walls[1], shape, shape - 1)
+    place = np.indices(lattice.shape, dtype=float).reshape(len(shape), -1).T
+    return place, low, high, np.zeros(len(shape)), 1.0
+
+
+def of_network(network):
+    """Return where free balls are, the ends of held ones, the periods, a contact's length."""
+    if network.position is None:
+        raise InputError("-network_file: waves need the positions of the balls")
+    if network.components > 1 and network.position.shape[1] != network.axes:
+        raise InputError("-network_file: positions and normals differ in their dimensions")
+    place, nowhere = network.position[network.free], np.zeros(network.position.shape[1])
+    box, gravity = (nowhere if v is None else v for v in (network.box, network.gravity))
+    touching = np.unique(network.bond[np.any(network.held[network.bond] == FREE, axis=1)])
+    held = network.position[touching[network.held[touching] != FREE]]
+    low, high = (end(held if len(held) else place, axis=0) for end in (np.min, np.max))
+    low = np.where((box == 0) & (gravity == 0), low, place.min(axis=0))  # else none stands there
+    contact = np.median(np.linalg.norm(reaches(network)[0], axis=1))
+    return place, low, high, box, contact

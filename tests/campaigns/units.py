@@ -54,7 +54,8 @@ SAME = {"K0": "k", "spacing": "length", "force": "(k length)", "^": "**"}
 SAME |= dict.fromkeys((" x omega_mx", " per omega_mx"), "")
 LEFT_OUT = {"solve_seconds", "bonds_sha256", "models"}  # models are in a unit of their own
 NOT_COMPUTING = {
-    "BondLaw", "InputError", "Lattice", "Network", "PgranError", "export", "load", "plot", "table"
+    "BondLaw", "InputError", "Lattice", "Network", "PgranError", "export", "load", "plot", "save",
+    "table",
 }  # fmt: skip
 
 
