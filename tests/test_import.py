@@ -238,7 +238,9 @@ def test_what_is_held_cut_and_left_out(call, place, here):
     assert "torn off" not in bring(call)
     done = call("import", "a.atoms", "a.contacts", "-o", "floats.h5")  # its modes are defined
     assert done.stderr.startswith("pgran: warning: no ball is held: the network floats")
-    assert not read_network("floats.h5").held.any()
+    floats = read_network("floats.h5")
+    assert not floats.held.any()
+    assert f"than isostatic ({2 * (len(floats.held) - 1) + 1})" in done.stdout
 
 
 @pytest.mark.parametrize("seed", range(5))

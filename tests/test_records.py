@@ -1,6 +1,7 @@
 """What Python functions return, saved and loaded, drawn, in tables, and in a notebook."""
 
 import dataclasses
+import warnings
 from functools import partial
 
 import numpy as np
@@ -72,6 +73,10 @@ def test_complex_numbers_in_tables(tmp_path):
     read = xarray.load_dataset(path, engine="h5netcdf")
     assert np.array_equal(read.field.values, found.field[:3])
     assert np.array_equal(found.to_dataframe()["displacement_3_2"], found.displacement[:, 0])
+    with warnings.catch_warnings(action="error"):  # without them it is plain netCDF
+        modes = pgran.find_modes(LATTICE)
+        modes.to_xarray().to_netcdf(path)
+    assert xarray.load_dataset(path).attrs["count_certified"] == modes.count_certified
     with pytest.raises(pgran.InputError, match=r"to_dataframe\('omega'\) or to_dataframe\('mid"):
         pgran.count_modes(LATTICE, OMEGAS).to_dataframe()
 

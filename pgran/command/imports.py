@@ -118,7 +118,8 @@ def _check(options):
 def _cautions(made, contacts, options):
     """Say what speaks against the stiffness, or against the rest, of a packing."""
     if not made.network.held.any():
-        yield "no ball is held: the network floats and cannot be driven; see --rest and --drive"
+        yield "no ball is held: the network floats; it has modes, sound and waves, and only " \
+            "-drive_balls drives it; --rest and --drive hold balls"  # fmt: skip
     power = contacts.power
     if power.words:
         taken = np.median((made.stiffness * contacts.overlap / contacts.force)[power.clear])
@@ -130,7 +131,7 @@ def _cautions(made, contacts, options):
             "dump_modify ID format float %.16g prints more of them"  # fmt: skip
     if made.unbalanced is not None and made.unbalanced > BALANCED:
         yield f"forces leave {made.unbalanced:.2g} of the mean one on a free ball: gravity, " \
-            "friction or contacts that are cut balance it, or nothing does"  # fmt: skip
+            "friction, contacts that are cut or a --box left out, or nothing balances it"  # fmt: skip
 
 
 def _summary(made, contacts, options):
@@ -216,9 +217,10 @@ def _rigidity(network):
     if network.displacement == "scalar":
         return text
     springs = network.bonds * (1 if network.tangential is None else network.axes)
-    excess = springs - network.size
+    least = network.size - (0 if network.held.any() else network.axes - 1)  # as of `Packed`
+    excess = springs - least
     text += f"; {springs} springs for {network.size} unknowns, {abs(excess)} " \
-        f"{'fewer' if excess < 0 else 'more'} than isostatic"  # fmt: skip
+        f"{'fewer' if excess < 0 else 'more'} than isostatic ({least})"  # fmt: skip
     loose = np.count_nonzero(contacts <= network.axes)
     few = f"; {counted(loose, 'ball')} with {network.axes} contacts or fewer"
     return text + (few if loose else "")

@@ -173,7 +173,8 @@ class Connected:
         """Raise InputError if nothing is driven, or if balls float."""
         if self.push is None and not np.any(self.held == DRIVEN):
             raise InputError(
-                "network: no ball is driven: make it with --drive or --walls, or give -drive_balls"
+                "network: no ball is driven: make it with --drive or --walls, or give -drive_balls "
+                "(in Python pgran.with_source(network, balls=[...]))"
             )
         floating = ~anchored(self.bond, self.held)
         floating = np.flatnonzero(floating if self.drag is None else floating & (self.drag == 0))

@@ -98,7 +98,8 @@ def sound(medium: base.Medium) -> Sound:
     Returns
     -------
     Sound
-        Speeds are accurate to rounding.
+        `longitudinal` and `transverse` waves, `density`, the moduli `bulk` and `shear`, and `debye`
+        of a frequency, Debye's density of modes. Speeds are accurate to rounding.
 
     Raises
     ------

@@ -1,15 +1,20 @@
 """The datasets of xarray that records become."""
 
-from functools import partialmethod
-
+import numpy as np
 import xarray
 
 
 class Dataset(xarray.Dataset):
-    """An xarray.Dataset whose files may hold complex numbers and truth values."""
+    """An xarray.Dataset whose files may hold complex numbers; without these they are netCDF."""
 
     __slots__ = ()
-    to_netcdf = partialmethod(xarray.Dataset.to_netcdf, engine="h5netcdf", invalid_netcdf=True)
+
+    def to_netcdf(self, *words, **choices):
+        """See `xarray.Dataset.to_netcdf`; truth values among the attributes are 0 and 1."""
+        truths = {name: int(x) for name, x in self.attrs.items() if isinstance(x, bool | np.bool_)}
+        beyond = any(np.iscomplexobj(x) for x in self.variables.values())
+        own = {"engine": "h5netcdf", "invalid_netcdf": beyond}
+        return xarray.Dataset.to_netcdf(self.assign_attrs(truths), *words, **own | choices)
 
 
 def dataset(record, axes_of):
