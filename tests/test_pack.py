@@ -33,6 +33,13 @@ def test_a_packing_floats_with_the_modes_of_a_rigid_body():
     assert np.all(np.sort(omega)[2:] > 1e-3)
 
 
+def test_the_unit_of_frequency_has_the_rattlers_too():
+    network = pgran.pack(60, pressure=1e-3, seed=2)
+    median = np.mean(np.array([2.0, 2.8]) ** 2) / 2.4**2  # of 30 small discs and 30 large ones
+    assert network.radius.size < 60
+    assert network.median_mass == pytest.approx(median) != np.median(network.masses)
+
+
 def test_walls_hold_both_ends():
     network = pgran.pack(120, pressure=1e-2, walls="x", shape=(2, 1), seed=2)
     assert network.box[0] == 0 < network.box[1]

@@ -129,7 +129,8 @@ def packed_network(
         packed = under_pressure(diameter, dimension, rule, push, rng, shape)
     else:
         packed = under_gravity(diameter, dimension, rule, push, rng)
-    return _network(packed, axes, walls, gravity, rest, drive), packed
+    median = float(np.median(diameter**dimension))  # rattlers included, as of an import
+    return _network(packed, axes, walls, gravity, rest, drive, median), packed
 
 
 def diameters(balls, sizes, rng):
@@ -149,8 +150,8 @@ def diameters(balls, sizes, rng):
     return values / values.mean()
 
 
-def _network(packed, axes, walls, gravity, rest, drive):
-    """Return the network of a packing whose balls are held by walls and conditions."""
+def _network(packed, axes, walls, gravity, rest, drive, median):
+    """Return the network of a packing, of a median mass, held by walls and conditions."""
     balls, contacts = packed.rest.balls, packed.contacts
     held, box, position = balls.held.astype(int), balls.box.copy(), balls.position.copy()
     periodic = np.isfinite(box)
@@ -175,6 +176,7 @@ def _network(packed, axes, walls, gravity, rest, drive):
         packed.rest._replace(balls=balls, contacts=contacts),
         held=held,
         masses=(2 * balls.radius) ** len(axes),
+        median_mass=median,
         displacement="vector",
         gravity=down,
         direction=None if walls is None else np.eye(len(axes))[axis],

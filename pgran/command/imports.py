@@ -131,7 +131,7 @@ def _cautions(made, contacts, options):
             "dump_modify ID format float %.16g prints more of them"  # fmt: skip
     if made.unbalanced is not None and made.unbalanced > BALANCED:
         yield f"forces leave {made.unbalanced:.2g} of the mean one on a free ball: gravity, " \
-            "friction, contacts that are cut or a --box left out, or nothing balances it"  # fmt: skip
+            "friction, contacts cut or missing (--box) balance it, or nothing does"  # fmt: skip
 
 
 def _summary(made, contacts, options):
