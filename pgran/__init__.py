@@ -58,6 +58,8 @@ __all__ = sorted(_HOMES)
 
 
 def __getattr__(name):
+    if name in ("errors", "figures", "results"):
+        return importlib.import_module(f"pgran.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module pgran has no attribute {name!r}")
     return getattr(importlib.import_module(_HOMES[name]), name)
