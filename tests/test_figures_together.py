@@ -221,12 +221,20 @@ def test_modes_over_each_other():
     for step in steps:
         area = np.sum(step.values * np.diff(step.edges))
         assert area == pytest.approx(1, rel=1e-12)  # per ball
-    assert labels(made["density"].axes[0]) == ["small", "large"]
+    for step, result in zip(made["reduced"].axes[0].patches, shown, strict=True):
+        values, edges, _ = step.get_data()
+        modes = result.medium.free_balls * np.sum(values * np.diff(edges**2)) / 2  # over omega
+        assert modes == pytest.approx(len(result.modes.omega), rel=1e-12)
+    assert labels(made["density"].axes[0]) == labels(made["reduced"].axes[0]) == ["small", "large"]
     modes = shown[1].modes
     narrow = result_of(replace(modes, omega=0.5 + 0.1 * modes.omega))
     for pair in ([shown[1], narrow], [narrow, shown[1]]):  # whichever comes first, none is cut off
         ax = figures.compare(pair, ["a", "b"])["density"].axes[0]
         assert max(patch.get_data().values.max() for patch in ax.patches) < ax.get_ylim()[1]
+    loose = result_of(replace(modes, omega=modes.omega - 0.5))
+    made = figures.compare([loose, shown[1]], ["a", "b"])
+    assert note(made["reduced"]) == "NOT SHOWN: unstable modes"
+    assert not note(made["density"])
     few = [find_modes(), result_of(replace(find_modes().modes, count_certified=False))]
     made = figures.compare(few, ["a", "b"])
     assert list(made) == ["participation"]

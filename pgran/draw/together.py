@@ -61,6 +61,11 @@ class Look(NamedTuple):
         width = 0.8 if self.line == "-" else 1.0
         return {"color": self.colour, "linestyle": self.line, "linewidth": width}
 
+    @property
+    def outline(self):
+        """What `Axes.stairs` takes, with the label."""
+        return {"label": self.label, "edgecolor": self.colour, "linestyle": self.line}
+
 
 def _by_colour(results):
     """Return the looks of many results, and the scale of their colours, None of seeds."""

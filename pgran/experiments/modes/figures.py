@@ -192,7 +192,7 @@ def bin_edges(x, count=None):
 
 
 def over(results, looks):
-    """Yield participation ratios, and densities if each result has many modes."""
+    """Yield participation ratios, and both densities if each result has many modes."""
     if not all(hasattr(result, "modes") for result in results):
         raise FileError("of the scene modes normal modes alone are laid over each other")
     media = [result.medium for result in results]
@@ -213,15 +213,24 @@ def over(results, looks):
     def outlines(ax):
         edges = bin_edges(np.concatenate(x), max(map(len, x)))
         for modes, medium, look in several:
-            drawn = {"label": look.label, "edgecolor": look.colour, "linestyle": look.line}
-            density(ax, modes, medium, edges, **drawn)
+            density(ax, modes, medium, edges, **look.outline)
+
+    def reductions(ax):
+        edges = counts.log_bins(np.concatenate(x))["edges"]
+        for each, (_, medium, look) in zip(x, several, strict=True):
+            counts.reduced(ax, edges, np.histogram(each, edges)[0], medium, **look.outline)
 
     made = {participation: points}
     if min(map(len, x)) >= MODES_OF_A_DENSITY:
         made[density] = outlines
+        axes = {*map(counts.dimension, media)}
+        if len(axes) == 1 and 0 not in axes and min(map(np.max, x)) > 0:
+            made[counts.reduced] = reductions
     missing = sum(not result.modes.count_certified for result in results)
     for panel, draw in made.items():
         page = style.single(draw, style.caption_of(panel))
+        if panel is counts.reduced and min(map(np.min, x)) < 0:
+            style.note(page, "NOT SHOWN: unstable modes")
         if missing:
             style.note(page, f"NOT CERTIFIED: modes of {missing} of {len(results)} results")
         yield panel.__name__, page

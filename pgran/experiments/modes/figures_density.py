@@ -125,14 +125,14 @@ def log_bins(x):
     return {"edges": edges, "counts": np.histogram(x, edges)[0]}
 
 
-def reduced(ax, edges, counts, lattice, level=None):
+def reduced(ax, edges, counts, lattice, level=None, **look):
     r"""Density of the normal modes over $(\omega/\omega_{mx})^{d-1}$, $d$ the dimension of space,
     by which that of long waves is a constant; bars: square roots of the counts.
 
     `edges`, in units of omega_mx, are those of the `counts` of modes, `level` is as of `debye`.
     """
     d, first = dimension(lattice), np.argmax(edges > 0)
-    drawn = histogram(ax, edges[first:], counts[first:], lattice, level=level, d=d)
+    drawn = histogram(ax, edges[first:], counts[first:], lattice, level=level, d=d, **look)
     over = ["", r"/(\omega_i/\omega_{mx})", r"/(\omega_i/\omega_{mx})^2"][d - 1]
     ax.set_ylabel(rf"$D(\omega_i){over}$ per ball and $\omega_{{mx}}$")
     return drawn
