@@ -13,6 +13,7 @@ from pgran.run.keys import SOLVERS
 from pgran.run.options import text_of
 
 MANUAL = Path(__file__).parents[1] / "pgran" / "manual"
+WIDTH = 80  # of a terminal
 
 
 def options():
@@ -61,8 +62,9 @@ def results():
 
 
 def _group(kind, name):
-    """Yield a group as a block of lines of at most 100 characters, and then those within it."""
-    yield from (f"## {name}", "", "```text", *inspect.getdoc(kind).splitlines(), "")
+    """Yield a group as a block of lines that fit a terminal, and then those within it."""
+    about = (textwrap.fill(part, WIDTH) for part in inspect.getdoc(kind).split("\n\n"))
+    yield from (f"## {name}", "", "```text", *"\n\n".join(about).splitlines(), "")
     parts = [item for item in dataclasses.fields(kind) if "part" in item.metadata]
     own = [item for item in dataclasses.fields(kind) if item not in parts]
     for item in sorted(own, key=lambda item: "axes" not in item.metadata):  # arrays first
@@ -72,7 +74,7 @@ def _group(kind, name):
         facts += [{str: "text", complex: "complex"}.get(said.get("dtype"), "")]
         facts = ", ".join(filter(None, [*facts, said["units"] * (said["units"] != "1")]))
         text = f"{item.name + '*' * said['optional']:<26}{said['long_name']} [{facts}]"
-        yield from textwrap.wrap(text.replace(" []", ""), 100, subsequent_indent=" " * 26)
+        yield from textwrap.wrap(text.replace(" []", ""), WIDTH, subsequent_indent=" " * 26)
     yield from ("```", "")
     for inner in (item.metadata["part"] for item in parts):
         yield from _group(inner, f"{name}/{inner.group}")

@@ -236,9 +236,23 @@ def test_words_are_looked_for(call):
     place, line, *_ = call("manual", "PHASE_SLOPE").stdout.splitlines()
     assert (place, line.split()[0]) == ("results: /response", "phase_slope")
     assert call("manual", "/green").stdout.startswith("results: /green\n")
+    assert call("manual", "-steady_ksp_view").stdout.startswith("solvers: Watch it\n")
+    assert call("manual", "cite").stdout.startswith("changes: Citing, licence\n")  # not: excites
     for found in call("manual", "sound", "lammps").stdout.splitlines()[:16:2]:
         page = manual.page(found.partition(":")[0]).lower()
         assert page.count("sound") * page.count("lammps")
+
+
+@pytest.mark.parametrize("topic", manual.topics())
+def test_a_page_fits_a_terminal(topic):
+    """All but code and formulas; nothing is lost but blanks and the rules below heads of tables."""
+    page = manual.page(topic)
+    text = manual.fitted(page, 80)
+    prose = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    lines = [line for line in prose.splitlines() if len(line) > 80]
+    assert [line for line in lines if not line.startswith(("    ", "- [", "#"))] == []
+    words = re.findall(r"[^\s|]+", re.sub(r"^\|[-|]+$", "", page, flags=re.MULTILINE))
+    assert [word for word in words if word not in text] == []
 
 
 def test_a_pager_on_a_terminal_only(call, clean_environment, monkeypatch):
