@@ -70,6 +70,9 @@ def test_later_files_win_as_the_command_line_does(written):
     assert found.solver == {"steady_pc_type": "lu"}
     with pytest.raises(InputError, match=r"b\.opts, line 3.*not on the list"):
         resolve(given)
+    misspelt = written("-scene response\n-normal_st_pc_typ lu", "c.opts")
+    with pytest.raises(InputError, match="did you mean -normal_st_pc_type"):
+        resolve(read_files([misspelt]))
 
 
 def test_files_that_cannot_be_read(tmp_path):

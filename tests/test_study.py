@@ -54,6 +54,7 @@ def test_a_study_is_its_single_runs(start, place, shared_path, call, monkeypatch
     assert np.isnan(table.phase_velocity_2_3).all()
     assert "amplitude_2_3" in done.stdout
     assert "omega" not in done.stdout  # which is the same in all
+    assert "amplitude" not in start("study", *WORDS, *VALUES, "-dry_run").stdout
     call("table", *paths, "--columns", "amplitude,seconds", "-o", "t.csv")
     head, *rows = (shared_path / "t.csv").read_text().splitlines()
     assert head == "result,lattice_damping,amplitude_2_3,failures,seconds"

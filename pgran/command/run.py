@@ -251,6 +251,6 @@ def _installed_version(name):
 def _warn_of_unused(options):
     """Warn of solver keys that no PETSc object asked for."""
     if options.solver_keys:
-        from pgran.run.petsc import warn_of_unused
+        from pgran.run.keys import warn_of_unused
 
         warn_of_unused(options.solver_keys)

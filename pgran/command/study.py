@@ -63,7 +63,7 @@ def run(words):
         if code not in COMPUTED:
             log.warning("%s: failed, with exit code %d", told, code)
     there = [path for path in codes if codes[path] in COMPUTED and os.path.exists(path)]
-    if there and part is None:
+    if there and part is None and "-dry_run" not in words:
         from pgran.command.table import in_words, table
 
         try:

@@ -6,6 +6,7 @@ files. What is not on the list is taken from the command line only, from who mea
 
 import contextlib
 import functools
+import logging
 import re
 
 from pgran.arguments import meant, nearest, shown
@@ -13,6 +14,7 @@ from pgran.errors import InputError
 from pgran.run import launch
 from pgran.run.options import read_file, text_of
 
+log = logging.getLogger("pgran")
 SMALLEST_SHIFT = 1e-14  # of pivots, against bond constants of about 1
 
 
@@ -65,12 +67,12 @@ LINEAR = {
     "pc_mg_distinct_smoothup pc_(asm|asm_local|gasm|composite|jacobi|mg|gamg)_type "
     "mat_mumps_icntl_([46-8]|1[0-5]|2[0347-9]|3[135-8]|4[89]|58) mat_mumps_cntl_[1-57] "
     "mat_superlu_dist_(equil|parsymbfact|replacetinypivot|iterrefine|rowperm|colperm|fact)",
-    ALONE: "ksp_(view|converged_(reason|rate)) pc_view mat_superlu_dist_(statprint|printstat) "
-    "ksp_monitor(_true_residual|_short|_singular_value|_max)?",
+    ALONE: "ksp_view ksp_converged_reason ksp_converged_rate ksp_monitor pc_view "
+    "ksp_monitor_(true_residual|short|singular_value|max) mat_superlu_dist_(statprint|printstat)",
 }
 # of modes, with what these solvers stand on: bases (bv), dense problems (ds), regions (rg),
 MODES = {
-    TYPE: "(eps|pep|st)_type",
+    TYPE: "eps_type pep_type st_type",
     COUNT: "eps_(balance_its|krylovschur_partitions|rqcg_reset|lobpcg_blocksize) st_filter_degree "
     "eps_[gj]d_(blocksize|minv|plusk|initial_size) ds_(method|block_size) "
     "eps_ciss_((refine_)?(blocksize|inner)|integration_points|moments|maxblocksize|partitions)",
@@ -89,7 +91,7 @@ MODES = {
 }
 # and of pulses.
 STEPS = {
-    TYPE: "ts_(type|adapt_type) snes_(type|linesearch_type)",
+    TYPE: "ts_type ts_adapt_type snes_type snes_linesearch_type",
     VALUE: "ts_(rk_type|adapt_wnormtype|dt|max_steps|max_reject) "
     "ts_alpha_(radius|alpha_m|alpha_f|gamma|beta) snes_(rtol|atol|stol|max_it) "
     "ts_adapt_(safety|reject_safety|clip|dt_min|dt_max|scale_solve_failed) "
@@ -103,7 +105,8 @@ SOLVERS = {
     "steady_": ("every driven steady state (KSP, PC)", {f"steady_(comparison_)?{INNER}": LINEAR}),
     "normal_": (
         "normal modes (EPS, ST; count_pc for the factorizations that count them)",
-        {"normal_": MODES, f"normal_(st|eps_ciss|count)_{INNER}": LINEAR},
+        {"normal_": MODES}
+        | {f"normal_{inside}_{INNER}": LINEAR for inside in ("st", "eps_ciss", "count")},
     ),
     "damped_": (
         "damped modes near a target (PEP, ST)", {"damped_": MODES, f"damped_st_{INNER}": LINEAR}
@@ -160,7 +163,18 @@ def check_in_file(key, item):
         raise InputError(
             f"{setting}{item.where}: not on the list of what a file may set (others could load "
             "code, start a program or write a file); give it on the command line if you mean it"
+            + meant(not listed and near(key))
         )
+
+
+def near(key):
+    """Return the key most like one that no solver has, with its dash, or None."""
+    tables = [table for _, keys in SOLVERS.values() for table in keys.items()]
+    words = [(begin, word) for begin, keys in tables for word in " ".join(keys.values()).split()]
+    plain = [
+        f"-{re.match('[a-z_]+', begin)[0]}{word}" for begin, word in words if word.isidentifier()
+    ]
+    return nearest(f"-{key}", plain)
 
 
 def check_pivot_shifts(keys):
@@ -218,9 +232,18 @@ def read_solver(path, own):
 def holding_solver(keys):
     """Let keys hold for all solvers that are made meanwhile."""
     world = launch.start().COMM_WORLD
-    from pgran.run.petsc import holding, warn_of_unused
+    from pgran.run.petsc import holding
 
     with holding(keys):
         yield
         if world.rank == 0:
             warn_of_unused(keys)
+
+
+def warn_of_unused(keys):
+    """Warn of those of some keys in PETSc's database that nothing has acted on."""
+    from pgran.run.petsc import unused
+
+    for key in unused(keys):
+        what = meant(not is_listed(key) and near(key))
+        log.warning("-%s was not used: no solver of this run has such an option%s", key, what)

@@ -8,7 +8,6 @@ import collections
 import contextlib
 import ctypes
 import functools
-import logging
 
 import numpy
 import petsc4py
@@ -28,7 +27,6 @@ numpy.linalg.inv([[1.0]])  # takes a buffer for good: OpenBLAS later waits for e
 if PETSc.ScalarType().dtype.kind != "c":
     raise PgranError("this PETSc has real scalars; pgran needs a complex one (pgran doctor)")
 
-log = logging.getLogger("pgran")
 work = collections.Counter()  # by a solver's name and what it does how often this rank has
 PARTS = {  # of -log_view, registered in the same order on all ranks
     part: (PETSc.Log.Stage(part), PETSc.Log.Event(f"pgran:{part}"))
@@ -109,12 +107,6 @@ def unused(keys):
     """Return those of some keys in the database that nothing has acted on."""
     used = _whether_used()
     return [key for key in keys if not used(key)]
-
-
-def warn_of_unused(keys):
-    """Warn of those of some keys in the database that nothing has acted on."""
-    for key in unused(keys):
-        log.warning("-%s was not used: no solver of this run has such an option", key)
 
 
 def _whether_used():
