@@ -236,7 +236,7 @@ def test_words_are_looked_for(call):
     place, line, *_ = call("manual", "PHASE_SLOPE").stdout.splitlines()
     assert (place, line.split()[0]) == ("results: /response", "phase_slope")
     assert call("manual", "/green").stdout.startswith("results: /green\n")
-    assert call("manual", "-steady_ksp_view").stdout.startswith("solvers: Watch it\n")
+    assert "solvers: Watch it\n" in call("manual", "-steady_ksp_view").stdout
     assert call("manual", "cite").stdout.startswith("changes: Citing, licence\n")  # not: excites
     for found in call("manual", "sound", "lammps").stdout.splitlines()[:16:2]:
         page = manual.page(found.partition(":")[0]).lower()

@@ -147,7 +147,7 @@ def spectrum(ax, signals, lattice, number, response=None):
     omega, size, good = ratio(signals, number)
     x = omega / lattice.omega_mx
     ax.set(yscale="log", ylabel=scales.AMPLITUDE)
-    scales.frequencies(ax, x[np.isfinite(size)], scales.ANY_FREQUENCY)
+    scales.frequencies(ax, x[good if good.any() else np.isfinite(size)], scales.ANY_FREQUENCY)
     low, high = ax.get_xlim()
     for d in [] if response is None else _heard_at(signals.detector[number], response):
         swept, there = response.omega / lattice.omega_mx, marks.known_amplitudes(response)[:, d]
