@@ -3,9 +3,9 @@
 import dataclasses
 import logging
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.arguments import called_right
 from pgran.balance.equilibrium import BALANCED, at_rest, without_rattlers
@@ -17,9 +17,6 @@ from pgran.medium.network import Network
 from pgran.medium.packing import ContactLaw, nearest_images
 from pgran.medium.springs import AT_REST, FREE
 from pgran.run.numbers import numbers
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 log = logging.getLogger("pgran")
 ASTRAY = 1e-3  # of a contact's length: what printed digits may leave of it

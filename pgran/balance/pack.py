@@ -5,23 +5,19 @@ Hertzian one c = sqrt(R_i R_j / (R_i + R_j)); a ball of the mean diameter has th
 """
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.arguments import called_right, choice, whole_number
 from pgran.balance.networks import network_of
 from pgran.balance.settle import DENSITY, under_gravity, under_pressure
 from pgran.errors import InputError
 from pgran.medium.conditions import columns_in, hold
+from pgran.medium.network import Network
 from pgran.medium.packing import ContactLaw
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
 from pgran.run.numbers import number, numbers
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.medium.network import Network
 
 SIZE_RATIO = 1.4  # of the larger over the smaller diameter of bidisperse balls
 
@@ -40,7 +36,7 @@ def pack(
     walls: str | None = None,
     rest: str | None = None,
     drive: str | None = None,
-) -> "Network":
+) -> Network:
     """Return a packing in mechanical equilibrium, without friction.
 
     Lengths are in mean diameters, masses in that of a ball of this diameter, and forces in the

@@ -4,7 +4,8 @@ import logging
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from numpy.typing import ArrayLike
 
 from pgran import catalogue
 from pgran.arguments import called_right
@@ -14,12 +15,8 @@ from pgran.draw import pages as figures
 from pgran.errors import DONE, FileError, InputError
 from pgran.run.numbers import number, numbers
 from pgran.store.estimate import counted
+from pgran.store.record import Record
 from pgran.store.si import FREQUENCIES_IN, LARGEST, SI, SMALLEST
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.store.record import Record
 
 log = logging.getLogger("pgran")
 
@@ -32,7 +29,7 @@ def plot(
     result: object,
     output: str | os.PathLike | None = None,
     modes: "ArrayLike | None" = None,
-    response: "Record | None" = None,
+    response: Record | None = None,
     measured: str | os.PathLike | None = None,
     units: tuple | None = None,
     width: float | None = None,

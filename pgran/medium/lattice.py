@@ -14,9 +14,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.arguments import called_right, choice, shown, whole_number
 from pgran.errors import InputError
@@ -37,9 +37,6 @@ from pgran.medium.springs import Elastic, Springs
 from pgran.run.machine import check_memory
 from pgran.run.numbers import number, numbers
 from pgran.store.estimate import counted
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 # By axes, up to how many balls: one rank has the lattice; PETSc factors it faster than MUMPS; the
 # order of minimum degree suits lattices better that are `ELONGATED` times as long as wide, or more.

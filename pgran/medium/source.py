@@ -10,18 +10,15 @@ F / kmax.
 """
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.arguments import called_right
 from pgran.errors import InputError
 from pgran.medium.base import AXES, Medium, is_drive
 from pgran.medium.conditions import choose
 from pgran.medium.springs import AT_REST, DRIVEN
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 
 @called_right

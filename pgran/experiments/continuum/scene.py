@@ -1,8 +1,7 @@
 """Scene `continuum`: the exact response of the homogeneous box, without PETSc."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.errors import InputError
 from pgran.experiments.continuum.record import ContinuumResponse
@@ -11,9 +10,6 @@ from pgran.run.experiment import PROGRESS, Scene, in_parallel, option, options_o
 from pgran.run.frequencies import FREQUENCIES, check_sweep
 from pgran.run.task import Task, carry_out
 from pgran.store.record import columns_of, row_of
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 LONGEST_UNIT = 256  # frequencies
 POSITIVE = {"low": 1e-100, "high": 1e100}  # no square of it overflows or underflows

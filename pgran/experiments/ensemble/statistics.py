@@ -10,9 +10,9 @@ them. Errors come from leaving out a part of the samples at a time.
 import logging
 import math
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.arguments import called_right
 from pgran.errors import InputError
@@ -27,9 +27,6 @@ from pgran.store.estimate import (
     with_errors,
 )
 from pgran.store.record import ball_names
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 log = logging.getLogger("pgran")
 

@@ -10,9 +10,9 @@ It holds once what comes straight has gone by, and not next to walls, where u = 
 """
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.arguments import called_right
 from pgran.errors import InputError
@@ -20,6 +20,8 @@ from pgran.experiments.ensemble.profiles import FEWEST_DEPTHS, Profiles, along, 
 from pgran.experiments.ensemble.record import CERTAIN, Diffusion, Ensemble, Transport
 from pgran.experiments.modes.levels import first_mode
 from pgran.medium.base import medium as medium_of
+from pgran.medium.lattice import Lattice
+from pgran.medium.network import Network
 from pgran.run.experiment import Caution
 from pgran.run.numbers import windows_of
 from pgran.store.estimate import (
@@ -31,12 +33,6 @@ from pgran.store.estimate import (
     with_errors,
 )
 from pgran.store.si import SI
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.medium.lattice import Lattice
-    from pgran.medium.network import Network
 
 RIM = 1 / 7  # of the system at both ends, which walls bend: 3 spacings of 20 x 20, as measured
 BAND = 0.1  # omega_mx

@@ -16,9 +16,10 @@ import logging
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.arguments import called_right
 from pgran.errors import FileError, InputError
@@ -28,9 +29,6 @@ from pgran.medium.network_file import load
 from pgran.run.numbers import number, windows_of
 from pgran.store.estimate import Estimate, counted, with_errors
 from pgran.store.record import Record, Result, ball_names
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 log = logging.getLogger("pgran")
 TRIALS = 8, 400  # of moves of either sign, at least and at most

@@ -1,8 +1,7 @@
 """Scene `projection`: the driven lattice in terms of its normal modes, over a sweep."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.arguments import shown
 from pgran.driven import drive as driven
@@ -11,18 +10,13 @@ from pgran.driven.drive import FrequencySweep
 from pgran.errors import InputError
 from pgran.experiments.modes.record import Projection
 from pgran.experiments.modes.scene import SITES, certificate, check_modes, find_modes
-from pgran.medium.base import check_frequency, medium
+from pgran.medium.base import Medium, check_frequency, medium
+from pgran.run.crew import Crew
 from pgran.run.experiment import PROGRESS, Scene, call, in_parallel, options_of
 from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, driving_frequencies
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted
 from pgran.store.record import columns_of, row_of
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.medium.base import Medium
-    from pgran.run.crew import Crew
 
 ALL_MODES = 3600  # balls; of a larger lattice only the modes near each driving frequency
 NEAR = 60  # so many
@@ -53,9 +47,9 @@ def _which(which):
 
 @in_parallel("project", lattice=medium, omegas=checked_frequencies, which=_which)
 def project(
-    lattice: "Medium",
+    lattice: Medium,
     omegas: "ArrayLike",
-    crew: "Crew | None" = None,
+    crew: Crew | None = None,
     which: dict | None = None,
     *,
     method: str = find_modes.declared["method"],

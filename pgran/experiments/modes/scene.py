@@ -12,15 +12,17 @@ import contextlib
 import dataclasses
 import math
 import time
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.errors import InputError
 from pgran.experiments.modes.record import DampedModes, Modes, exactness
 from pgran.experiments.modes.shapes import RESIDUAL, Resonances, least_frequency, participation
-from pgran.medium.base import EPSILON, check_frequency, medium, warn_above_modes
+from pgran.medium.base import EPSILON, Medium, check_frequency, medium, warn_above_modes
 from pgran.run.agreement import on_root
+from pgran.run.crew import Crew
 from pgran.run.experiment import (
     PROGRESS,
     Asked,
@@ -38,12 +40,6 @@ from pgran.run.task import Task, carry_out
 from pgran.store.estimate import counted
 from pgran.store.record import ball_names, columns_of, row_of
 from pgran.store.si import SI
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.medium.base import Medium
-    from pgran.run.crew import Crew
 
 MARGIN = 1.01  # covers the rounding of bounds
 TRIED = 600  # unknowns of a whole spectrum that a dry run computes
@@ -65,8 +61,8 @@ DENSITY = Option(
 
 @in_parallel("modes", lattice=medium, detectors=DETECTORS)
 def find_modes(
-    lattice: "Medium",
-    crew: "Crew | None" = None,
+    lattice: Medium,
+    crew: Crew | None = None,
     *,
     interval: tuple[float, float] | None = window(
         option(

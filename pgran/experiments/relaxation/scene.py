@@ -1,19 +1,22 @@
 """Scene `relaxation`: the amplitude at the detectors while one bond a step is redrawn."""
 
 import contextlib
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.driven import drive as driven
 from pgran.driven.amplitudes import below_relative_accuracy
 from pgran.errors import InputError
 from pgran.experiments.relaxation import fluctuations
 from pgran.experiments.relaxation.record import Relaxation
-from pgran.medium.base import check_frequency, medium
+from pgran.medium.base import Medium, check_frequency, medium
 from pgran.medium.law import TRIED, Redraw, check_law, make_law
 from pgran.run.agreement import agreeing
+from pgran.run.crew import Crew
 from pgran.run.experiment import PROGRESS, Asked, Scene, call, in_parallel, option, options_of
 from pgran.run.machine import check_memory
 from pgran.run.numbers import fingerprint
@@ -21,14 +24,6 @@ from pgran.run.options import REAL, Option, check_ends
 from pgran.run.task import Task, carry_out
 from pgran.store.estimate import counted
 from pgran.store.record import columns_of, row_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike
-
-    from pgran.medium.base import Medium
-    from pgran.run.crew import Crew
 
 OMEGA = Option("relax_omega", REAL, 0.6, "driving frequency", "angular", above=0)
 # None draws from the network's own constants.
@@ -40,11 +35,11 @@ STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windo
     "relax", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, law=LAW, omega=OMEGA
 )
 def relax(
-    lattice: "Medium",
-    law: "Callable | None",
+    lattice: Medium,
+    law: Callable | None,
     omega: float,
     detectors: "ArrayLike",
-    crew: "Crew | None" = None,
+    crew: Crew | None = None,
     *,
     steps: int = option(20000, "number of steps; each redraws one bond", low=1),
     seed: int = option(1, "seed of the changes", low=0, high=2**63 - 1),

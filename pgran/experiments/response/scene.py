@@ -2,9 +2,9 @@
 
 import time
 from dataclasses import astuple
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.driven import amplitudes, drive
 from pgran.driven.amplitudes import PhaseLine, and_more, is_accurate
@@ -12,6 +12,7 @@ from pgran.experiments.response.curve import choose_method, line_errors, solve_c
 from pgran.experiments.response.record import LINES, Response
 from pgran.medium.base import EPSILON, Medium, medium
 from pgran.run.agreement import agreeing, on_root
+from pgran.run.crew import Crew
 from pgran.run.experiment import (
     PROGRESS,
     Caution,
@@ -29,11 +30,6 @@ from pgran.store.estimate import counted, with_error
 from pgran.store.record import ball_names, columns_of, row_of
 from pgran.store.si import SI
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.run.crew import Crew
-
 MODELLED = 2  # the reason of a frequency that a model gives
 
 
@@ -42,7 +38,7 @@ def sweep(
     lattice: Medium,
     omegas: "ArrayLike",
     detectors: "ArrayLike",
-    crew: "Crew | None" = None,
+    crew: Crew | None = None,
     *,
     method: str = option(
         "auto",

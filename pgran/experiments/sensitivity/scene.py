@@ -4,18 +4,19 @@ And what a warm ball, or a cut bond, does to it: exact amplitudes, one change at
 """
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.driven import drive as driven
 from pgran.errors import InputError
 from pgran.experiments.sensitivity.gradient import GradientSweep
 from pgran.experiments.sensitivity.record import Heat, Sensitivity
-from pgran.medium.base import medium
+from pgran.medium.base import Medium, medium
 from pgran.medium.bonds import bond_ends
 from pgran.medium.law import HERTZ
 from pgran.run.agreement import agreeing
+from pgran.run.crew import Crew
 from pgran.run.experiment import PROGRESS, Caution, Scene, call, in_parallel, option, options_of
 from pgran.run.frequencies import SWEEP, check_sweep
 from pgran.run.options import FLAG, INTEGER, INTEGERS, REAL
@@ -24,12 +25,6 @@ from pgran.store.estimate import counted, with_error
 from pgran.store.record import ball_names, site_name
 from pgran.store.si import SI
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.medium.base import Medium
-    from pgran.run.crew import Crew
-
 WAYS = "heat_factor", "heat_overlap", "heat_radius", "heat_kelvin"
 
 
@@ -37,10 +32,10 @@ WAYS = "heat_factor", "heat_overlap", "heat_radius", "heat_kelvin"
     "sensitivity", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, omegas=SWEEP
 )
 def sensitivity(
-    lattice: "Medium",
+    lattice: Medium,
     omegas: "ArrayLike",
     detectors: "ArrayLike",
-    crew: "Crew | None" = None,
+    crew: Crew | None = None,
     *,
     most: int = option(
         0, "keep only the largest derivatives, by so many bonds and balls; 0 = all", low=0
@@ -72,10 +67,10 @@ def sensitivity(
     balls=lambda balls: balls,  # rows or flat, which the lattice checks
 )  # fmt: skip
 def heat(
-    lattice: "Medium",
+    lattice: Medium,
     omegas: "ArrayLike",
     detectors: "ArrayLike",
-    crew: "Crew | None" = None,
+    crew: Crew | None = None,
     *,
     factor: float | None = option(
         None, "warm balls one at a time: their bonds become so many times as stiff", kind=REAL,
