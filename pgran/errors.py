@@ -2,6 +2,7 @@
 
 import sys
 import traceback
+from importlib import import_module
 from pathlib import Path
 
 DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED, INTERRUPTED = 0, 2, 3, 4, 75, 130
@@ -77,6 +78,17 @@ class StoppedError(PgranError):
     """A signal has stopped the run; what is finished is kept."""
 
     exit_code = STOPPED
+
+
+def needed(who, package, module=None):
+    """Return a package that only some need, or a module by it; raise where it is not installed."""
+    try:
+        import_module(package)
+        return import_module(module or package)
+    except ImportError as error:
+        why = f"{who} needs {package}, which cannot be imported ({error})"
+        cure = f"pip install {package}, or apt install python3-{package}"
+        raise PgranError(f"{why}: {cure}") from None
 
 
 def reason_of(error):

@@ -62,7 +62,7 @@ def test_a_study_is_its_single_runs(start, place, shared_path, call, monkeypatch
     assert "did you mean seconds?" in call("table", *paths, "--columns", "secnds").stderr
     assert "the name of a table ends in .csv" in call("table", *paths, "-o", "a.h5").stderr
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(PgranError, match=r"a table needs pandas .*: pip install pandas"):
+    with pytest.raises(PgranError, match=r"a table needs pandas, .*: pip install pandas"):
         pgran.table(paths)
 
 

@@ -10,7 +10,7 @@ import numpy
 from pgran.arguments import called_right, meant, nearest
 from pgran.command.export import blaming_edits, result_of
 from pgran.command.words import Parser
-from pgran.errors import DONE, InputError, PgranError
+from pgran.errors import DONE, InputError, needed
 from pgran.medium.differences import differences
 from pgran.store.paths import whole
 from pgran.store.text import numbers_of
@@ -51,10 +51,7 @@ def table(results: list) -> "pandas.DataFrame":
     >>> pgran.table(packings).unknowns.tolist()
     [80, 80]
     """
-    try:
-        import pandas
-    except ImportError as error:
-        raise PgranError(f"a table needs pandas ({error}): pip install pandas") from None
+    pandas = needed("a table", "pandas")
     read = list(map(result_of, results))
     rows = differences(read)
     options = list(dict.fromkeys(key for row in rows for key in row))

@@ -12,7 +12,7 @@ import logging
 from pathlib import Path
 
 from pgran import catalogue
-from pgran.errors import FileError, PgranError
+from pgran.errors import FileError, needed
 from pgran.store.paths import whole
 from pgran.store.si import SI
 
@@ -83,12 +83,7 @@ def _style(results, width=None, si=None, every=False):
     if any(hasattr(each, "medium") and not each.medium.omega_mx > 0 for each in results):
         raise FileError("nothing to draw in this result: without stiff bonds omega_mx is 0")
     try:
-        from pgran.draw import style
-    except ImportError as error:
-        raise PgranError(
-            f"figures need matplotlib, which cannot be imported ({error}): "
-            "pip install matplotlib, or apt install python3-matplotlib"
-        ) from None
+        style = needed("a figure", "matplotlib", "pgran.draw.style")
     except OSError as error:
         raise FileError(
             f"matplotlib needs a folder that it can write to ({error}): let MPLCONFIGDIR name one"

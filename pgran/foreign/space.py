@@ -5,7 +5,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from pgran.errors import FileError, InputError, PgranError
+from pgran.errors import FileError, InputError, needed
 from pgran.foreign.lammps import box_of, data_file, numbered
 from pgran.medium.space import as_network, in_space, mesh, motions
 from pgran.run.numbers import numbers
@@ -40,11 +40,7 @@ def write(result, output, modes):
 
 def _write_meshes(result, output, moved):
     """Write balls, contacts and displacements by meshio, those of a series to a file each."""
-    try:
-        import meshio
-    except ImportError as error:
-        why = f"needs meshio, which cannot be imported ({error}): pip install meshio"
-        raise PgranError(f"{output.suffix} {why}") from None
+    meshio = needed(output.suffix, "meshio")
     series = output.suffix.lower() == ".pvd"
     files, listed = {} if series else {output: {}}, ""
     for n, name, fact, moves in moved:

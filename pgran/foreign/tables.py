@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgran.errors import FileError, PgranError
+from pgran.errors import FileError, needed
 from pgran.store.paths import open_regular
 from pgran.store.text import Lines, is_number
 
@@ -226,11 +226,7 @@ def read_graph(path):
     0 in the order of the file.
     """
     open_regular(path, what="a GraphML file", most=LARGEST_GRAPH).close()
-    try:
-        import networkx
-    except ImportError:
-        cure = "pip install networkx, or give balls and contacts as CSV"
-        raise PgranError(f"GraphML is read by NetworkX, which is not here: {cure}") from None
+    networkx = needed("GraphML, unlike CSV,", "networkx")
     try:
         graph = networkx.read_graphml(path)
         nodes, edges = list(graph.nodes(data=True)), list(graph.edges(data=True))

@@ -9,14 +9,13 @@ along x. An array without axes is a coordinate itself.
 import dataclasses
 import reprlib
 from dataclasses import dataclass
-from importlib import import_module
 from types import MappingProxyType, UnionType
 from typing import get_args
 
 import numpy as np
 
 from pgran.catalogue import EXPERIMENTS
-from pgran.errors import FileError, InputError, PgranError
+from pgran.errors import FileError, InputError, needed
 
 SPACE = "xyz"
 # Kinds of NumPy's types, what a file may hold instead of each, and what to call it.
@@ -200,7 +199,7 @@ class Record(Shown):
         h5netcdf warns; `xarray.load_dataset("a.nc", engine="h5netcdf")` reads them. A PgranError
         says if there is no xarray.
         """
-        return _optional("xarray", "pgran.store.datasets").dataset(self, axes_of)
+        return needed("to_xarray", "xarray", "pgran.store.datasets").dataset(self, axes_of)
 
     def to_dataframe(self, *rows):
         """Return a table of the record as a pandas.DataFrame, complex columns as they are.
@@ -208,7 +207,9 @@ class Record(Shown):
         A row for each frequency, mode or time, of each detector a column, as `pgran.export` has it.
         Where arrays lie along several axes `rows` says which, `to_dataframe("omega", "ball")`.
         """
-        return _optional("pandas", "pgran.store.text").dataframe(self, rows)
+        from pgran.store.text import table_of
+
+        return needed("to_dataframe", "pandas").DataFrame(table_of(self, rows))
 
     def as_result(self):
         """Return the result that the record is of; an InputError where nobody says which."""
@@ -234,16 +235,6 @@ class Record(Shown):
             else:
                 parts.append(f"{item.name}={reprlib.repr(value)}")
         return f"{type(self).__name__}({', '.join(parts)})"
-
-
-def _optional(package, module):
-    """Return a module of pgran that a package is needed by; raise where there is none."""
-    try:
-        import_module(package)
-    except ImportError as error:
-        cure = f"pip install {package}, or apt install python3-{package}"
-        raise PgranError(f"{package} cannot be imported ({error}): {cure}") from None
-    return import_module(module)
 
 
 class MissingError(FileError, AttributeError):

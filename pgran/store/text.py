@@ -168,17 +168,15 @@ def tables(result):
     return named
 
 
-def dataframe(record, rows):
-    """Return the table of a record with these rows, if it has several; see `Record`."""
-    import pandas
-
+def table_of(record, rows=()):
+    """Return the table of a record, that with these rows if it has several; see `Record`."""
     found = _tables_of(record)
     if not rows and len(found) == 1:
         (rows,) = found
     if rows not in found:
         calls = " or ".join(f"to_dataframe({', '.join(map(repr, axes))})" for axes in found)
         raise InputError(f"which table of {record.group}? {calls or 'it has no rows'}")
-    return pandas.DataFrame(found[rows])
+    return found[rows]
 
 
 def _tables_of(record):
