@@ -13,10 +13,8 @@ from pathlib import Path
 import pgran
 from pgran import errors
 from pgran.arguments import meant, nearest, saying_once
-from pgran.errors import FileError, InputError, PgranError, explain, is_petsc
+from pgran.errors import FileError, InputError, PgranError, explain, is_petsc, log
 from pgran.run import launch, machine, streams
-
-log = logging.getLogger("pgran")
 
 SECONDS_TO_BE_ENDED = 5.0  # that a rank waits for another one's abort
 # Of each command what it takes, what it does, and its function in `pgran.command`, which returns an

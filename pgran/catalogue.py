@@ -9,14 +9,12 @@ Nothing here imports an experiment of pgran: who asks for its facts, its records
 loads these alone. Installed ones are looked for when a name is none of ours, or all are asked for.
 """
 
-import logging
 from collections.abc import Mapping
 from importlib import import_module
 from typing import NamedTuple
 
-from pgran.errors import PgranError
+from pgran.errors import PgranError, log
 
-log = logging.getLogger("pgran")
 ENTRY_POINTS = "pgran.experiments"
 
 

@@ -1,9 +1,12 @@
-"""Exceptions and exit codes."""
+"""Exceptions, exit codes, and the log of what is said besides."""
 
+import logging
 import sys
 import traceback
 from importlib import import_module
 from pathlib import Path
+
+log = logging.getLogger("pgran")
 
 DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED, INTERRUPTED = 0, 2, 3, 4, 75, 130
 LONGEST = 1010  # characters of a message

@@ -1,7 +1,6 @@
 """Networks under a contact law, as balls at rest and back: `pgran.equilibrate`."""
 
 import dataclasses
-import logging
 import math
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import ArrayLike
 from pgran.arguments import called_right
 from pgran.balance.equilibrium import BALANCED, at_rest, without_rattlers
 from pgran.balance.motion import Balls, Contacts, listed, pair_numbers
-from pgran.errors import InputError
+from pgran.errors import InputError, log
 from pgran.medium.base import EPSILON
 from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network
@@ -18,7 +17,6 @@ from pgran.medium.packing import ContactLaw, nearest_images
 from pgran.medium.springs import AT_REST, FREE
 from pgran.run.numbers import numbers
 
-log = logging.getLogger("pgran")
 ASTRAY = 1e-3  # of a contact's length: what printed digits may leave of it
 GROWTH = 0.5  # of the mean overlap: how much a ball grows before all find their rest anew
 ON_THE_WAY = 1e-6  # of the mean force: how well they find it before the last step

@@ -1,6 +1,5 @@
 """`pgran compare`: how alike two response curves or two codas are."""
 
-import logging
 import os
 import shlex
 from pathlib import Path
@@ -11,13 +10,11 @@ import pgran
 from pgran.command.export import blaming_edits
 from pgran.command.plot import plot
 from pgran.command.words import Parser, positive
-from pgran.errors import DONE, InputError
+from pgran.errors import DONE, InputError, log
 from pgran.run.options import REALS, Option
 from pgran.store import file as store
 from pgran.store.estimate import with_error
 from pgran.store.record import Result, ball_names
-
-log = logging.getLogger("pgran")
 
 WINDOWS = Option("windows", REALS, None, "low,high,low,high ... of angular frequencies or times")
 UNITS = "units_length", "units_time"  # of figures, where both agree

@@ -3,7 +3,6 @@
 import csv
 import functools
 import io
-import logging
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ import numpy as np
 import pgran
 from pgran.arguments import called_right, shown
 from pgran.command.words import Parser
-from pgran.errors import DONE, FileError, InputError
+from pgran.errors import DONE, FileError, InputError, log
 from pgran.store.file import is_result
 from pgran.store.paths import check_seal, whole
 from pgran.store.record import Shown
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from pgran.medium.network import Network
     from pgran.store.record import Result
 
-log = logging.getLogger("pgran")
 IN_SPACE = (".vtu", ".pvd", ".xyz", ".dump")
 HELD = 1e-3  # of the mean force: how exactly positions must hold the forces of a packing
 

@@ -1,13 +1,12 @@
 """`pgran import`: a contact network of another program becomes one of pgran's."""
 
 import argparse
-import logging
 import re
 
 import numpy as np
 
 from pgran.command.words import Parser, magnitude, positive
-from pgran.errors import DONE, InputError
+from pgran.errors import DONE, InputError, log
 from pgran.foreign.assemble import assemble
 from pgran.foreign.contacts import AXES, ROLES, Balls, read_contacts, touching
 from pgran.foreign.tables import read_graph, read_table
@@ -19,8 +18,6 @@ from pgran.medium.packing import POWERS, ContactLaw
 from pgran.medium.springs import DRIVEN, FREE
 from pgran.run.options import REALS, Option
 from pgran.store.estimate import counted
-
-log = logging.getLogger("pgran")
 
 UNSURE = 1e-2  # of a stiffness: what the printed digits may leave open
 BALANCED = 1e-3  # of the mean contact force: what may be left on a ball at rest

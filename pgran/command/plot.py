@@ -1,6 +1,5 @@
 """`pgran plot`: the figures of a result, of several of one scene, of one with another laid over."""
 
-import logging
 import math
 import os
 from pathlib import Path
@@ -12,13 +11,11 @@ from pgran.arguments import called_right
 from pgran.command.export import blaming_edits, result_of
 from pgran.command.words import Parser, positive
 from pgran.draw import pages as figures
-from pgran.errors import DONE, FileError, InputError
+from pgran.errors import DONE, FileError, InputError, log
 from pgran.run.numbers import number, numbers
 from pgran.store.estimate import counted
 from pgran.store.record import Record
 from pgran.store.si import FREQUENCIES_IN, LARGEST, SI, SMALLEST
-
-log = logging.getLogger("pgran")
 
 NARROWEST, WIDEST = 60, 400  # mm
 LAID_OVER = {"response": "modes", "pulse": "response"}  # and over what

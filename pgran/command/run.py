@@ -14,12 +14,10 @@ import pgran
 from pgran import errors
 from pgran.catalogue import code_of
 from pgran.command.resolve import SCENES, opening, resolve, run_scene
-from pgran.errors import FileError, InputError, PgranError
+from pgran.errors import FileError, InputError, PgranError, log
 from pgran.run import launch, machine, streams
 from pgran.run.agreement import agreeing, on_root
 from pgran.run.options import files_first, read_environment, read_files, read_words
-
-log = logging.getLogger("pgran")
 
 DOES = """\
 Compute the experiment in an options file, and write its result to results/NAME.h5. Further files,

@@ -1,15 +1,11 @@
 """`pgran sound`: how fast long waves are in a packing or a lattice, and how stiff it is."""
 
-import logging
-
 from pgran.command.export import blaming_edits, result_of
 from pgran.command.words import Parser, positive
-from pgran.errors import DONE
+from pgran.errors import DONE, log
 from pgran.medium.statics import sound
 from pgran.store.estimate import counted
 from pgran.store.si import SI
-
-log = logging.getLogger("pgran")
 
 DESCRIPTION = """\
 Say how fast long waves run in a periodic packing, or in the lattice of a result, and what its

@@ -3,7 +3,6 @@
 Each is a `pgran run` by itself, as PETSc reads its keys once, when it starts.
 """
 
-import logging
 import os
 import shlex
 import signal
@@ -17,11 +16,9 @@ from pgran import errors
 from pgran.command.export import result_of
 from pgran.command.resolve import resolve
 from pgran.command.words import Parser
-from pgran.errors import FileError, InputError, PgranError
+from pgran.errors import FileError, InputError, PgranError, log
 from pgran.run import launch
 from pgran.run.options import KEY, RUN, files_first, read_environment, read_files, read_words
-
-log = logging.getLogger("pgran")
 
 EXAMPLE = "pgran study options/damping.opts -lattice_damping .001 .003 .01"
 HOW = tuple(f"-{option.name}" for option in RUN)  # what decides no number

@@ -1,13 +1,10 @@
 """`pgran units`: what the program's numbers are for balls of a material under a load."""
 
-import logging
 import math
 
 from pgran.command.words import Parser, positive
-from pgran.errors import DONE, InputError
+from pgran.errors import DONE, InputError, log
 from pgran.medium import hertz
-
-log = logging.getLogger("pgran")
 
 GRAVITY = 9.80665  # m/s^2
 PACK = "pgran pack --balls 200 --dimension 3 --law hertz --sizes equal"

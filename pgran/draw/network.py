@@ -1,6 +1,5 @@
 """The figure of a network, its balls and contacts where they are."""
 
-import logging
 from itertools import cycle
 
 import numpy as np
@@ -9,10 +8,10 @@ from matplotlib.lines import Line2D
 
 from pgran.draw import captions, style
 from pgran.draw.view import EDGES, FACES, MANY, View
+from pgran.errors import log
 from pgran.medium.space import in_space
 from pgran.medium.springs import AT_REST, DRIVEN
 
-log = logging.getLogger("pgran")
 MARKS = "osD^v<>"  # of detectors
 ARROW, CLEAR = 14, 20  # points: half of the drive's double arrow, its middle from detectors
 

@@ -1,17 +1,15 @@
 """Balls, contacts and displacements in files for ParaView and OVITO."""
 
-import logging
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from pgran.errors import FileError, InputError, needed
+from pgran.errors import FileError, InputError, log, needed
 from pgran.foreign.lammps import box_of, data_file, numbered
 from pgran.medium.space import as_network, in_space, mesh, motions
 from pgran.run.numbers import numbers
 from pgran.store.paths import whole
 
-log = logging.getLogger("pgran")
 SERIES = '<VTKFile type="Collection"><Collection>\n{}</Collection></VTKFile>\n'
 SPECIES = np.array(["free", "rest", "driven"])  # of the numbers of `held`
 # OVITO draws a "disp", its Displacement, as arrows; a dump of LAMMPS has velocities instead.

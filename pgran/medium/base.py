@@ -6,7 +6,6 @@ numbers fit into doubles.
 
 import contextlib
 import dataclasses
-import logging
 import math
 from typing import NamedTuple
 
@@ -14,12 +13,10 @@ import numpy as np
 
 from pgran.arguments import shown
 from pgran.catalogue import record_kind
-from pgran.errors import InputError
+from pgran.errors import InputError, log
 from pgran.run.numbers import Distinct, numbers
 from pgran.store.estimate import counted
 from pgran.store.record import Result, Shown
-
-log = logging.getLogger("pgran")
 
 AXES = "xyz"
 EPSILON = float(np.finfo(float).eps)

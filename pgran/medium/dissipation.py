@@ -9,16 +9,13 @@ bonds are redrawn. A spring of no stiffness has no dashpot unless p = 0.
 """
 
 import dataclasses
-import logging
 from functools import cached_property
 
 import numpy as np
 
-from pgran.errors import InputError
+from pgran.errors import InputError, log
 from pgran.medium.base import BETA, Medium, check_size
 from pgran.run.numbers import number
-
-log = logging.getLogger("pgran")
 
 # Of what damps, by option.
 LETTERS = {

@@ -11,7 +11,6 @@ function of (seed, trajectory, step): the next changes are known ahead.
 """
 
 import dataclasses
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -19,13 +18,11 @@ from functools import partial
 import numpy as np
 
 from pgran.arguments import called_right, choice, shown
-from pgran.errors import InputError, PgranError
+from pgran.errors import InputError, PgranError, log
 from pgran.medium.base import Medium
 from pgran.medium.base import medium as medium_of
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, REAL, Option
-
-log = logging.getLogger("pgran")
 
 # The parameters of laws, by their keywords.
 HERTZ = Option(

@@ -8,14 +8,13 @@ stays symmetric.
 
 import dataclasses
 import hashlib
-import logging
 from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 
 from pgran.arguments import called_right
-from pgran.errors import InputError
+from pgran.errors import InputError, log
 from pgran.medium.base import AXES, BETA, EPSILON, check_magnitudes, closest, unit_vector
 from pgran.medium.checks import check_network, checked_values
 from pgran.medium.contacts import springs_of
@@ -23,8 +22,6 @@ from pgran.medium.graph import Connected, rattlers
 from pgran.medium.springs import AT_REST, DRIVEN, FREE, Elastic, norm_of
 from pgran.run.numbers import number, numbers
 from pgran.store.record import Record, array, attribute, attribute_array
-
-log = logging.getLogger("pgran")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

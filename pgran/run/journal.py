@@ -9,7 +9,6 @@ by the kernel for as long as the process lives: a lock that nobody holds cannot 
 import contextlib
 import fcntl
 import json
-import logging
 import os
 import signal
 import stat
@@ -20,12 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pgran.errors import FileError, InputError, PgranError, StoppedError, is_bad_input
+from pgran.errors import FileError, InputError, PgranError, StoppedError, is_bad_input, log
 from pgran.run.agreement import on_root
 from pgran.run.launch import SIGNALS
 from pgran.store.paths import writing
-
-log = logging.getLogger("pgran")
 
 MAGIC = b"pgran journal 1\n"
 # MAGIC | head | identity | head | rows of a unit | head | rows of a unit ...

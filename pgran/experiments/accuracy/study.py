@@ -1,20 +1,17 @@
 """An accuracy study: a certified reference, and runs that are timed and compared with it."""
 
-import logging
 import time
 from dataclasses import dataclass
 
 import numpy as np
 
 from pgran.catalogue import EXPERIMENTS
-from pgran.errors import PgranError, is_foreseen
+from pgran.errors import PgranError, is_foreseen, log
 from pgran.experiments.accuracy.record import Accuracy
 from pgran.experiments.modes.shapes import RESIDUAL
 from pgran.run.experiment import call
 from pgran.run.task import Task
 from pgran.store.record import columns_of, row_of
-
-log = logging.getLogger("pgran")
 
 # A number of an experiment, a bound of its absolute error, what errors are relative to, and whether
 # the number is as accurate as was asked for.

@@ -1,18 +1,14 @@
 """One experiment on many samples: the task that repeats it, bands, and measures in words."""
 
-import logging
-
 import numpy as np
 
-from pgran.errors import InputError, PgranError, is_bad_input, is_petsc
+from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, log
 from pgran.experiments.ensemble.record import Ensemble, measures, sampled_of
 from pgran.run.machine import check_memory
 from pgran.run.task import Task
 from pgran.store.estimate import MOST, counted, mean_of, with_error, with_errors
 from pgran.store.record import ball_names, columns_of, row_of
 from pgran.store.si import SI
-
-log = logging.getLogger("pgran")
 
 # What is kept with curves only: of modes, of pulses, and of responses, whose bands are kept always.
 LARGE = "mode_omega", "participation", "mode_width", "drive", "square"

@@ -1,6 +1,5 @@
 """Scene `ensemble`: one experiment on many samples, and what holds over them."""
 
-import logging
 import os
 from collections.abc import Callable
 from glob import glob
@@ -10,7 +9,7 @@ import numpy as np
 
 from pgran.arguments import shown
 from pgran.catalogue import EXPERIMENTS
-from pgran.errors import InputError
+from pgran.errors import InputError, log
 from pgran.experiments.ensemble.record import Ensemble
 from pgran.experiments.ensemble.sampling import Samples, in_words
 from pgran.medium.base import medium
@@ -22,8 +21,6 @@ from pgran.run.numbers import windows_of
 from pgran.run.options import INTEGER, REALS, TEXT, Option
 from pgran.run.task import carry_out
 from pgran.store.estimate import FEWEST_SAMPLES, counted
-
-log = logging.getLogger("pgran")
 
 KEPT = ("response", "modes", "pulse")  # what has curves
 ENSEMBLE = (

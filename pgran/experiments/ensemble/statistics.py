@@ -7,7 +7,6 @@ closer here than there. Correlations need equal distances: A is resampled along 
 them. Errors come from leaving out a part of the samples at a time.
 """
 
-import logging
 import math
 from functools import cached_property, partial
 
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pgran.arguments import called_right
-from pgran.errors import InputError
+from pgran.errors import InputError, log
 from pgran.experiments.ensemble.record import Ensemble, NoiseStatistics
 from pgran.run.numbers import windows_of
 from pgran.store.estimate import (
@@ -27,8 +26,6 @@ from pgran.store.estimate import (
     with_errors,
 )
 from pgran.store.record import ball_names
-
-log = logging.getLogger("pgran")
 
 EDGES = np.append(np.arange(0.0, 4.0, 0.25), np.arange(4.0, 8.5, 0.5))  # of I/<I>
 SHIFTS = 60  # at which correlations are stored, as far as half of the window

@@ -12,7 +12,6 @@ comparing` has where they come from):
     <(n, z)^2> = sum_k p_k q_(k+1),    half of that for complex signals.
 """
 
-import logging
 import math
 import os
 from pathlib import Path
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pgran.arguments import called_right
-from pgran.errors import FileError, InputError
+from pgran.errors import FileError, InputError, log
 from pgran.experiments.likeness.record import Likeness
 from pgran.medium.differences import labels_of
 from pgran.medium.network_file import load
@@ -30,7 +29,6 @@ from pgran.run.numbers import number, windows_of
 from pgran.store.estimate import Estimate, counted, with_errors
 from pgran.store.record import Record, Result, ball_names
 
-log = logging.getLogger("pgran")
 TRIALS = 8, 400  # of moves of either sign, at least and at most
 ROUNDING = 1e-13  # of the reach
 UNLIKE = 3.5  # errors of artanh CC within which strangers are: no move is known

@@ -9,7 +9,6 @@ The complex build of SLEPc gives complex vectors. One Rayleigh-Ritz step in real
 them real and orthonormal.
 """
 
-import logging
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -20,14 +19,13 @@ from mpi4py import MPI
 from pgran.driven.counting import complex_matrix, flag_hermitian, real_matrix
 from pgran.driven.factors import RealFactors
 from pgran.driven.operators import Owner
+from pgran.errors import log
 from pgran.experiments.modes.shapes import with_fixed_sign
 from pgran.run.petsc import PETSc, logged, note, plain_errors
 
 slepc4py.init([])  # PETSc has its options already
 
 from slepc4py import SLEPc  # noqa: E402
-
-log = logging.getLogger("pgran")
 
 TOLERANCE = 1e-13  # of an eigenvalue of (K - sigma)^-1
 SEARCHES = 40

@@ -1,16 +1,13 @@
 """The fluctuations of a relaxation: the power spectrum of an amplitude, and its memory."""
 
-import logging
 import math
 
 import numpy as np
 
-from pgran.errors import InputError
+from pgran.errors import InputError, log
 from pgran.experiments.relaxation.record import Memory, Spectrum
 from pgran.run.options import REAL, Option
 from pgran.store.estimate import MOST, Estimate, jackknife, with_error, with_errors
-
-log = logging.getLogger("pgran")
 
 SPECTRUM = (
     Option("spectrum_fit_min", REAL, 0.01, "lower end of the fit of psi", "cycles/step", above=0),

@@ -11,7 +11,6 @@ need damping, which bounds S^-1 for all frequencies alike. Tall matrices, whose 
 hold, are factored block by block.
 """
 
-import logging
 import math
 from functools import cached_property
 
@@ -21,13 +20,11 @@ from pgran.driven.accuracy import Detectors
 from pgran.driven.counting import smallest_damping, smallest_loss
 from pgran.driven.linear import LEAST_NORM, Krylov, ends_run
 from pgran.driven.operators import Owner
-from pgran.errors import petsc_message
+from pgran.errors import log, petsc_message
 from pgran.experiments.response.models import ModelLimits, evaluate, moments_of, poles, squares
 from pgran.experiments.response.record import model_dtype
 from pgran.medium.base import EPSILON
 from pgran.run.petsc import PETSc, logged
-
-log = logging.getLogger("pgran")
 
 CHECKED_POINTS = 9  # Chebyshev points of an interval where its bound is checked
 LENGTH_SHARE = 0.5  # of what rounding leaves of the allowed, at checked points: more is between

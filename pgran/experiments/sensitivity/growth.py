@@ -9,7 +9,6 @@ grown. NumPy and SciPy only.
 """
 
 import dataclasses
-import logging
 import math
 from typing import NamedTuple
 
@@ -17,7 +16,7 @@ import numpy as np
 
 from pgran.balance.motion import pair_numbers
 from pgran.balance.networks import GROWTH, balls_of, contact_changes, grown, law_of, network_of
-from pgran.errors import InputError, PgranError
+from pgran.errors import InputError, PgranError, log
 from pgran.experiments.sensitivity.gradient import fields_of, systems_of
 from pgran.experiments.sensitivity.radii import Radii, with_vectors
 from pgran.experiments.sensitivity.record import OUTCOMES
@@ -29,7 +28,6 @@ from pgran.medium.springs import AT_REST, FREE, norm_of
 from pgran.run.agreement import on_root
 from pgran.run.task import Task
 
-log = logging.getLogger("pgran")
 SMOOTH, CHANGED, REARRANGED, LOST = range(len(OUTCOMES))
 UNBALANCED = 1e-3  # of the mean force: what is said of a network
 ASTRAY = 1e-3  # of an overlap: how far contacts may stray from their rest

@@ -1,6 +1,5 @@
 """Maps of what belongs to bonds and balls, in lattices and networks alike, and shares of these."""
 
-import logging
 from dataclasses import replace
 from functools import partial
 
@@ -10,9 +9,9 @@ from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 
 from pgran.draw import balls, bonds, scales, style
 from pgran.draw.view import BARRED, MANY, View
+from pgran.errors import log
 from pgran.medium.space import as_network
 
-log = logging.getLogger("pgran")
 MOST = 3  # frequencies in maps, and detectors with maps of their own
 CLEAR = 8000  # bonds in the plane that are drawn one by one; of more, what their balls sum up to
 CELLS = 24  # of arrows along the longer side, where there are more bonds
