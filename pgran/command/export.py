@@ -5,7 +5,6 @@ import functools
 import io
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,20 +16,13 @@ from pgran.store.file import is_result
 from pgran.store.paths import check_seal, whole
 from pgran.store.record import Shown
 
-if TYPE_CHECKING:
-    from pgran.medium.lattice import Lattice
-    from pgran.medium.network import Network
-    from pgran.store.record import Result
-
 IN_SPACE = (".vtu", ".pvd", ".xyz", ".dump")
 HELD = 1e-3  # of the mean force: how exactly positions must hold the forces of a packing
 
 
 @called_right
 def export(
-    result: "Result | Lattice | Network | str | os.PathLike",
-    output: str | os.PathLike,
-    modes: list[int] | None = None,
+    result: Shown | str | os.PathLike, output: str | os.PathLike, modes: list[int] | None = None
 ) -> list[Path]:
     """Write a result for other programs: `export("modes.h5", "modes.vtu")`.
 

@@ -2,9 +2,8 @@
 
 from pgran.errors import log
 from pgran.medium.dissipation import LETTERS
-from pgran.medium.labels import facts_of
+from pgran.medium.labels import facts_of, value_of
 from pgran.run.options import options_in
-from pgran.store.text import value_of
 
 LONGEST_LABEL = 120  # characters of what tells results apart
 MOST = 6  # results that colours and line styles tell apart in one figure

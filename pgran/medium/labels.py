@@ -1,5 +1,7 @@
 """What was computed on, in words."""
 
+import contextlib
+
 from pgran.medium.law import IN_WORDS, PARAMETERS
 from pgran.run.options import options_in
 from pgran.store.estimate import counted
@@ -39,7 +41,10 @@ def facts_of(options):
     `options` is the text that a result has of them. The parameters of the law are in its words
     alone, and a seed is there if it draws anything.
     """
-    facts = {key: _plain(text) for key, text in options_in(str(options)).items()}
+    facts = options_in(str(options))
+    for key, text in facts.items():
+        if isinstance(value := value_of(text), float):
+            facts[key] = f"{value:.6g}"
     if "lattice_shape" in facts:
         facts["lattice_shape"] = facts["lattice_shape"].replace(",", " x ")
     bonds = {key[6:]: value for key, value in facts.items() if key.startswith("bonds_")}
@@ -51,9 +56,9 @@ def facts_of(options):
     return facts
 
 
-def _plain(text):
-    """Return a number of an options file as one writes it, other texts as they are."""
-    try:
-        return text if text.isdigit() else f"{float(text):.6g}"
-    except ValueError:
-        return text
+def value_of(text):
+    """Return the number that a text of an options file is, or else the text."""
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return text

@@ -14,23 +14,18 @@ import io
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
 
 from pgran.arguments import called_right, choice, shown
 from pgran.errors import FileError, InputError
+from pgran.medium.base import Medium
 from pgran.medium.checks import KINDS
 from pgran.medium.springs import FREE
 from pgran.store import file as store
 from pgran.store.paths import check_seal, has_seal, open_regular, whole, writing
 from pgran.store.record import MisfitError, Result, Shown
-
-if TYPE_CHECKING:
-    from pgran.medium.lattice import Lattice
-    from pgran.medium.network import Network
-    from pgran.store.record import Record
 
 FORMAT, FORMAT_VERSION = "pgran network", 1
 # Of each dataset: its type, units, and what it is.
@@ -186,7 +181,7 @@ def _made(values, **overrides):
 
 
 @called_right
-def load(path: "str | os.PathLike") -> "Result | Lattice | Network":
+def load(path: str | os.PathLike) -> Result | Medium:
     """Return the result in a file, `load(path).response.omega`, or the lattice or network.
 
     The structure of the file is checked; its checksum only where that costs nothing, in a small
@@ -228,9 +223,7 @@ def load(path: "str | os.PathLike") -> "Result | Lattice | Network":
 
 
 @called_right
-def save(
-    thing: "Result | Record | Lattice | Network", path: "str | os.PathLike", overwrite: bool = False
-) -> None:
+def save(thing: Shown, path: str | os.PathLike, overwrite: bool = False) -> None:
     """Write what `load` reads again, bit for bit; `response.save("a.h5")` does the same.
 
     A record that a function returned becomes a result with its medium, as of `pgran run`. Lattices

@@ -41,13 +41,8 @@ def logged(part):
         @functools.wraps(function)
         def shown(*values, **choices):
             stage, event = PARTS[part]
-            stage.push()
-            event.begin()
-            try:
+            with stage, event:
                 return function(*values, **choices)
-            finally:
-                event.end()
-                stage.pop()
 
         return shown if PETSc.Log.isActive() else function
 

@@ -27,11 +27,6 @@ def is_number(word):
     return True
 
 
-def value_of(word):
-    """Return the number that a word is, or else the word."""
-    return int(word) if word.isdecimal() else float(word) if is_number(word) else word
-
-
 class Lines:
     """The lines of a text file one by one, none longer than a bound."""
 

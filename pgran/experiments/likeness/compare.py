@@ -51,8 +51,8 @@ INSIDE = np.linspace(0, 1, 18)[1:-1, None]  # of an interval, where its model is
 
 @called_right
 def compare(
-    a: "str | os.PathLike | Result | Record",
-    b: "str | os.PathLike | Result | Record",
+    a: str | os.PathLike | Result | Record,
+    b: str | os.PathLike | Result | Record,
     windows: "ArrayLike | None" = None,
     stretch: float = 0.02,
 ) -> Likeness:
