@@ -16,12 +16,11 @@ from result_samples import no_room_beyond
 from samples import random_lattice
 
 import pgran
-from pgran import draw as drawing
 from pgran import errors
 from pgran.command.plot import run as plot
 from pgran.draw import bonds, style
 from pgran.draw import pages as figures
-from pgran.errors import FileError, InputError, PgranError
+from pgran.errors import FileError, InputError
 from pgran.experiments.response import figures as response
 from pgran.medium.record import LatticeRecord
 from pgran.store.estimate import with_error
@@ -175,14 +174,6 @@ def test_nothing_to_draw():
     result.medium = replace(result.medium, omega_mx=0.0)
     with pytest.raises(FileError, match="omega_mx is 0"):
         figures.make(result)
-
-
-def test_without_matplotlib(monkeypatch):
-    monkeypatch.delitem(sys.modules, "pgran.draw.style")
-    monkeypatch.delattr(drawing, "style")
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(PgranError, match="pip install matplotlib"):
-        figures.make(respond([0.5]))
 
 
 def test_a_file_of_version_1_is_drawn_and_no_pyplot_is_needed():

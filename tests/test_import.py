@@ -2,7 +2,6 @@
 
 import itertools
 import re
-import sys
 
 import numpy as np
 import pytest
@@ -330,10 +329,6 @@ def test_graphs(call, place, here):
         assert (done.returncode, len(done.stderr.splitlines())) == (4, 1), done.stderr
 
 
-def test_without_networkx(call, place, monkeypatch):
-    monkeypatch.setitem(sys.modules, "networkx", None)
-    place("a.graphml", "<graphml/>")
-    done = call("import", "a.graphml", "-o", "n.h5")
-    assert (done.returncode, "pip install networkx" in done.stderr) == (1, True)
+def test_one_file_or_two(call):
     assert "one GraphML file" in call("import", "a.graphml", "b", "-o", "n.h5").stderr
     assert "CONTACTS is missing" in call("import", "a.csv", "-o", "n.h5").stderr

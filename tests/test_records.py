@@ -1,6 +1,7 @@
 """What Python functions return, saved and loaded, drawn, in tables, and in a notebook."""
 
 import dataclasses
+import sys
 import warnings
 from functools import partial
 
@@ -9,6 +10,7 @@ import pytest
 from samples import UNIFORM, assert_same
 
 import pgran
+from pgran.foreign.tables import read_graph
 from pgran.medium.crystals import crystal
 
 LATTICE = pgran.Lattice.random((6, 5), damping=0.05, free=("y+",), mass=0.3, kmax=0.7)
@@ -63,6 +65,23 @@ def test_media_and_what_is_changed_by_hand(shared_path):
     for number, medium in enumerate((LATTICE, PACKING)):
         medium.save(shared_path / f"{number}.h5")
         assert pgran.load(shared_path / f"{number}.h5") == medium
+
+
+@pytest.mark.parametrize(
+    ("package", "use"),
+    [
+        ("matplotlib", PACKING.plot),
+        ("xarray", lambda: pgran.find_modes(PACKING).to_xarray()),
+        ("pandas", lambda: pgran.find_modes(PACKING).to_dataframe()),
+        ("pandas", lambda: pgran.table([PACKING])),
+        ("meshio", lambda: pgran.export(PACKING, "a.vtu")),
+        ("networkx", lambda: read_graph(__file__)),
+    ],
+)
+def test_a_package_that_is_missing_is_said(monkeypatch, package, use):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(pgran.PgranError, match=f"needs {package}, which .* pip install {package},"):
+        use()
 
 
 @pytest.mark.filterwarnings("ignore:You are writing invalid netcdf")

@@ -6,7 +6,6 @@ import hashlib
 import os
 import pickle
 import subprocess
-import sys
 from pathlib import Path
 
 import h5py
@@ -108,7 +107,7 @@ def test_who_may_read_it_is_for_the_users_mask_to_say(tmp_path, mask):
     assert (tmp_path / "a.h5").stat().st_mode & 0o777 == 0o666 & ~mask
 
 
-def test_a_result_by_name(monkeypatch):
+def test_a_result_by_name():
     lattice, modes = make(results.LatticeRecord), make(results.Modes)
     result = Result([lattice, modes], scene="modes")
     assert (result.scene, result.modes) == ("modes", modes)
@@ -120,9 +119,6 @@ def test_a_result_by_name(monkeypatch):
     assert repr(result) == "Result(scene='modes', status=None, lattice, modes)"
     assert repr(modes).startswith("Modes(count_expected=7, count_certified=True, ")
     assert "vector: float64 (4, 4, 5)" in repr(modes)
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(PgranError, match="pip install xarray"):
-        modes.to_xarray()
 
 
 # Changed and damaged files; tests/test_foreign.py has those that point elsewhere

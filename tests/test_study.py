@@ -1,7 +1,6 @@
 """Studies and tables: a run for each value of an option, and their numbers beside each other."""
 
 import os
-import sys
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ import pgran
 from pgran import errors
 from pgran.command import study
 from pgran.command.resolve import resolve
-from pgran.errors import FileError, PgranError
+from pgran.errors import FileError
 from pgran.run.options import read_words
 from pgran.store import file as store
 
@@ -18,7 +17,7 @@ WORDS = "a.opts", "b.opts", "-sweep_omega", ".4", "-lattice_damping"
 VALUES = ".01", ".1", "1e-3"
 
 
-def test_a_study_is_its_single_runs(start, place, shared_path, call, monkeypatch):
+def test_a_study_is_its_single_runs(start, place, shared_path, call):
     """By parts or as a whole; one that fails stops no other, what is done is left as it is."""
     place("b.opts", "-sweep_method points")
     paths = [f"results/a-damping_{value}.h5" for value in VALUES]
@@ -61,9 +60,6 @@ def test_a_study_is_its_single_runs(start, place, shared_path, call, monkeypatch
     assert [float(row.split(",")[2]) for row in rows] == table.amplitude_2_3.tolist()
     assert "did you mean seconds?" in call("table", *paths, "--columns", "secnds").stderr
     assert "the name of a table ends in .csv" in call("table", *paths, "-o", "a.h5").stderr
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(PgranError, match=r"a table needs pandas, .*: pip install pandas"):
-        pgran.table(paths)
 
 
 def test_what_was_made_of_a_file_that_has_changed_since_is_refused(tmp_path):

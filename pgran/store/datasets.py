@@ -1,4 +1,4 @@
-"""The datasets of xarray that records become."""
+"""The dataset of xarray that a record becomes."""
 
 import numpy as np
 import xarray
@@ -15,15 +15,3 @@ class Dataset(xarray.Dataset):
         beyond = any(np.iscomplexobj(x) for x in self.variables.values())
         own = {"engine": "h5netcdf", "invalid_netcdf": beyond}
         return xarray.Dataset.to_netcdf(self.assign_attrs(truths), *words, **own | choices)
-
-
-def dataset(record, axes_of):
-    """Return a record as a dataset; see `Record.to_xarray`."""
-    variables, attributes = {}, {}
-    for item, value in record.filled():
-        if "axes" in item.metadata:
-            meaning = {key: item.metadata[key] for key in ("units", "long_name")}
-            variables[item.name] = xarray.Variable(axes_of(item, value), value, meaning)
-        elif "part" not in item.metadata:
-            attributes[item.name] = value
-    return Dataset(variables, attrs=attributes)

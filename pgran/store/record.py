@@ -27,6 +27,7 @@ KINDS = {
     "U": ("U", "text"),
 }
 ERROR = "its standard error"
+DATASETS = "pgran.store.datasets"  # which imports xarray
 
 
 def attribute(long_name, units="", since=1, optional=False, **said):
@@ -199,7 +200,14 @@ class Record(Shown):
         h5netcdf warns; `xarray.load_dataset("a.nc", engine="h5netcdf")` reads them. A PgranError
         says if there is no xarray.
         """
-        return needed("to_xarray", "xarray", "pgran.store.datasets").dataset(self, axes_of)
+        datasets, variables, attributes = needed("to_xarray", "xarray", DATASETS), {}, {}
+        for item, value in self.filled():
+            if "axes" in item.metadata:
+                meaning = {key: item.metadata[key] for key in ("units", "long_name")}
+                variables[item.name] = axes_of(item, value), value, meaning
+            elif "part" not in item.metadata:
+                attributes[item.name] = value
+        return datasets.Dataset(variables, attrs=attributes)
 
     def to_dataframe(self, *rows):
         """Return a table of the record as a pandas.DataFrame, complex columns as they are.
