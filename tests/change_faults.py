@@ -7,9 +7,7 @@ from network_samples import exactly
 from samples import SOLVERS, option_values
 from sensitivity_samples import Exact, missed
 
-from pgran.errors import InputError
-from pgran.experiments.sensitivity.scene import heat, sensitivity
-from pgran.medium.lattice import Lattice
+from pgran import InputError, Lattice, heat, sensitivity
 from pgran.run.crew import Crew
 from pgran.run.petsc import holding
 

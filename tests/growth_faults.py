@@ -18,7 +18,6 @@ from sensitivity_samples import heated
 
 import pgran
 from pgran.balance.networks import contact_changes
-from pgran.errors import PgranError
 from pgran.experiments.sensitivity.growth import LOST, Packing
 from pgran.experiments.sensitivity.record import OUTCOMES
 from pgran.run.crew import Crew
@@ -82,7 +81,7 @@ def growth_faults(case, seen):
     rng = np.random.default_rng([30, case.seed])
     try:
         packed = pgran.pack(**case.choices)
-    except PgranError:  # too few balls for their box, or too heavy ones
+    except pgran.PgranError:  # too few balls for their box, or too heavy ones
         seen["not packed"] += 1
         return
     others = dict(case.others)
@@ -119,7 +118,7 @@ def growth_faults(case, seen):
             seen["other loads or contacts"] += 1
         elif not np.allclose(alike.force.sum(), grown.network.force.sum(), rtol=1e-9, atol=0):
             yield f"EQUILIBRATE {what}: other forces"
-    except PgranError:
+    except pgran.PgranError:
         seen["equilibrate found no rest"] += 1
     pairs = [{(*sorted(pair),) for pair in each.bond.tolist()} for each in (exact, grown.network)]
     forces, told = grown.network.force, np.isfinite(found.warmed_bound).any()

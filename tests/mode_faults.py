@@ -5,10 +5,9 @@ from mpi4py import MPI
 from mpmath import mp
 from network_samples import NetworkReference
 
+from pgran import count_modes, find_modes
 from pgran.driven.operators import Operators
-from pgran.experiments.modes.density import count_modes
 from pgran.experiments.modes.normal import ModeSolver
-from pgran.experiments.modes.scene import find_modes
 from pgran.experiments.modes.slices import proven
 from pgran.run.crew import Crew
 

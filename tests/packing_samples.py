@@ -5,8 +5,7 @@ import itertools
 import h5py
 import numpy as np
 
-from pgran.medium.matrices import matrices
-from pgran.medium.network import Network
+from pgran import Network, matrices
 from pgran.medium.network_file import read_network
 
 LENGTH, HERTZ = 5.0, 2.5

@@ -15,16 +15,12 @@ from petsc4py import PETSc
 from reference import Reference
 from scipy.integrate import solve_ivp
 
+from pgran import BondLaw, Lattice, pulse, relax, sweep
 from pgran.command import resolve
 from pgran.command.resolve import SCENES
 from pgran.driven.operators import Operators
 from pgran.driven.steady import SteadySolver
-from pgran.experiments.pulse.scene import pulse
 from pgran.experiments.pulse.wall import SHAPES as PULSES
-from pgran.experiments.relaxation.scene import relax
-from pgran.experiments.response.scene import sweep
-from pgran.medium.lattice import Lattice
-from pgran.medium.law import BondLaw
 from pgran.run.crew import Crew
 from pgran.store.record import Record
 

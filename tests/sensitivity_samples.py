@@ -12,10 +12,7 @@ from mpmath import mp, mpf
 from network_samples import NetworkReference, as_network, eliminated, exactly, random_network
 from samples import SOLVERS, assert_same, bond_arrays
 
-from pgran.errors import InputError
-from pgran.experiments.sensitivity.scene import heat, sensitivity
-from pgran.medium.lattice import Lattice
-from pgran.medium.network import Network
+from pgran import InputError, Lattice, Network, heat, sensitivity
 from pgran.run.crew import Crew
 
 number = np.frompyfunc(lambda x: mpmath.mpmathify(complex(x)), 1, 1)

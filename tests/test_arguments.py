@@ -8,7 +8,6 @@ from samples import random_lattice
 
 import pgran
 from pgran.arguments import whole_number
-from pgran.errors import InputError
 from pgran.run.numbers import number, numbers
 
 LATTICE = random_lattice((5, 4), 3)
@@ -25,13 +24,13 @@ OMEGAS = [0.2, 0.5]
     ],
 )  # fmt: skip
 def test_what_is_no_number_is_refused(value):
-    with pytest.raises(InputError, match="x: real numbers are needed, not "):
+    with pytest.raises(pgran.InputError, match="x: real numbers are needed, not "):
         numbers("x", value)
 
 
 @pytest.mark.parametrize("value", [2.5, [1, 2.5], np.nan, np.inf, 1e300, 2.0**63, np.uint64(2**63)])
 def test_what_is_no_whole_number_is_refused(value):
-    with pytest.raises(InputError, match="x: whole numbers are needed, not "):
+    with pytest.raises(pgran.InputError, match="x: whole numbers are needed, not "):
         numbers("x", value, whole=True)
 
 
@@ -39,9 +38,9 @@ def test_endless_numbers_are_told_of_by_their_type():
     endless, within = 10**5000, []
     within.append(within)
     for value, shown in ((endless, "a int"), (within, r"\[\[\[")):
-        with pytest.raises(InputError, match=f"needed, not {shown}"):
+        with pytest.raises(pgran.InputError, match=f"needed, not {shown}"):
             numbers("x", value)
-        with pytest.raises(InputError, match="relax_steps"):
+        with pytest.raises(pgran.InputError, match="relax_steps"):
             pgran.relax(LATTICE, None, 0.5, [2, 1], steps=value)
 
 
@@ -53,7 +52,7 @@ def test_numbers_come_as_they_like():
     assert number("x", np.float64(0.5)) == 0.5
     assert whole_number("x", np.uint64(2**64 - 1)) == 2**64 - 1
     for value in (True, np.True_, 1.0, "1", None, np.array([1, 2])):
-        with pytest.raises(InputError, match="a whole number is needed"):
+        with pytest.raises(pgran.InputError, match="a whole number is needed"):
             whole_number("x", value)
 
 
@@ -96,7 +95,7 @@ def test_numbers_come_as_they_like():
     ],
 )  # fmt: skip
 def test_calls_that_misfit_say_what_would_do(call, said):
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(pgran.InputError, match=said):
         call()
 
 
@@ -116,7 +115,7 @@ def test_what_is_no_path_is_no_file():
     ],
 )  # fmt: skip
 def test_no_ball_is_guessed(medium, detectors):
-    with pytest.raises(InputError, match="detectors: "):
+    with pytest.raises(pgran.InputError, match="detectors: "):
         pgran.sweep(medium, OMEGAS, detectors)
 
 
@@ -135,13 +134,13 @@ def test_no_ball_is_guessed(medium, detectors):
     ],
 )
 def test_laws_of_changes_are_tried_first(law, said):
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(pgran.InputError, match=said):
         pgran.relax(LATTICE, law, 0.5, [2, 1], steps=3)
 
 
 def test_a_law_that_goes_wrong_only_later_is_noticed():
     """Beyond the numbers that it is tried with."""
-    with pytest.raises(InputError, match="not negative"):
+    with pytest.raises(pgran.InputError, match="not negative"):
         pgran.relax(LATTICE, lambda u: np.where(u < 0.004, -1.0, u), 0.5, [2, 1], steps=2000)
 
 

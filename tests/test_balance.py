@@ -16,7 +16,6 @@ from pgran.balance.equilibrium import Factors, NotBalancedError, at_rest, factor
 from pgran.balance.motion import Balls, Motion, listed
 from pgran.balance.networks import balls_of, contact_changes, grown
 from pgran.balance.pack import packed_network
-from pgran.errors import InputError
 from pgran.medium.graph import loose_balls, subnetwork
 from pgran.medium.network_file import read_network
 from pgran.medium.packing import ContactLaw, near_pairs
@@ -84,7 +83,7 @@ def test_pairs_are_those_of_all_images():
     expected = pairs_in(inside, radius, [6.0, 0.0, 7.0], 0.2)
     assert {*map(tuple, pairs)} == {*map(tuple, expected[:, :2])}
     assert np.allclose(np.sort(np.linalg.norm(away, axis=1)), np.sort(expected[:, -1]))
-    with pytest.raises(InputError, match="more balls"):
+    with pytest.raises(pgran.InputError, match="more balls"):
         near_pairs(position, radius, np.full(3, 3.0), 0.2)
 
 
@@ -177,7 +176,7 @@ def test_what_is_refused(spheres, change, message):
     radius, changed = (None, change) if isinstance(change, dict) else (change, {})
     for name, value in changed.items():
         changed[name] = np.full(spheres.bonds, value) if isinstance(value, float) else value
-    with pytest.raises(InputError, match=message) as refused:
+    with pytest.raises(pgran.InputError, match=message) as refused:
         pgran.equilibrate(dataclasses.replace(spheres, **changed), radius)
     assert "\n" not in str(refused.value)
 

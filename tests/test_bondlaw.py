@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from reference import bonds
 
+from pgran import InputError, Lattice
 from pgran.command.resolve import resolve
-from pgran.errors import InputError
-from pgran.medium.lattice import Lattice
 from pgran.medium.law import LAWS, BondLaw, unit_numbers
 from pgran.medium.sample import make_lattice
 from pgran.run.options import read_words

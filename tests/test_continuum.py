@@ -8,8 +8,7 @@ import pytest
 from reference import continuum_amplitude, uniform_field
 from scipy.optimize import brentq
 
-from pgran.errors import InputError
-from pgran.experiments.continuum.scene import continuum
+from pgran import InputError, continuum
 from pgran.experiments.continuum.series import HALF_WAVES, PI, Continuum
 
 POINT = (0.47, 0.52)

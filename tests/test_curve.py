@@ -22,13 +22,12 @@ from samples import (
     uniform_lattice,
 )
 
+from pgran import InputError, Lattice, PgranError
 from pgran.driven.operators import Operators
-from pgran.errors import InputError, PgranError
 from pgran.experiments.response import intervals
 from pgran.experiments.response.curve import deviation, hidden_part, normal_frequencies
 from pgran.experiments.response.models import evaluate
 from pgran.experiments.response.scene import summary
-from pgran.medium.lattice import Lattice
 from pgran.medium.record import LatticeRecord
 from pgran.store.record import Result
 

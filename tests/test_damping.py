@@ -15,7 +15,6 @@ from small import OPTIONS
 import pgran
 from pgran.command.resolve import resolve
 from pgran.driven.counting import smallest_damping
-from pgran.errors import InputError
 from pgran.medium.base import record_of
 from pgran.medium.network_file import parts_of, read_network, write_network
 from pgran.medium.sample import make_lattice
@@ -101,19 +100,19 @@ def test_options_make_the_laws(world, place):
 
 def test_what_makes_no_law_is_refused():
     lossy = dataclasses.replace(UNDAMPED, loss=ETA)
-    with pytest.raises(InputError, match="-damping_loss: only for steady states"):
+    with pytest.raises(pgran.InputError, match="-damping_loss: only for steady states"):
         pgran.pulse(lossy, detectors=[(1, 2)], time=300.0, omega=0.5, points=201)
-    with pytest.raises(InputError, match="is too large; take p nearer"):
+    with pytest.raises(pgran.InputError, match="is too large; take p nearer"):
         dataclasses.replace(UNDAMPED, damping=1.0, damping_power=-1e6)
     for name in ("drag", "loss"):
-        with pytest.raises(InputError, match="0 or more"):
+        with pytest.raises(pgran.InputError, match="0 or more"):
             dataclasses.replace(UNDAMPED, **{name: -1.0})
     network = random_network(3).network
     for name, count in (("drag", len(network.held)), ("loss", len(network.bond))):
-        with pytest.raises(InputError, match="0 or more"):
+        with pytest.raises(pgran.InputError, match="0 or more"):
             dataclasses.replace(network, **{name: -np.ones(count)})
     across = np.ones(len(network.bond))
-    with pytest.raises(InputError, match="contradicts damped = normal"):
+    with pytest.raises(pgran.InputError, match="contradicts damped = normal"):
         dataclasses.replace(network, damped="normal", tangential_dashpot=across)
 
 
@@ -135,7 +134,7 @@ def test_contacts_made_anew_have_the_dashpots_of_the_old_ones():
         found = made.dashpot, made.loss, made.drag
         assert [set(values) for values in found] == [{0.25}, {0.1}, {0.2}]
     varied = dataclasses.replace(packed, dashpot=np.linspace(0, 1, contacts))
-    with pytest.raises(InputError, match=r"dashpot differs.*heat_relax false"):
+    with pytest.raises(pgran.InputError, match=r"dashpot differs.*heat_relax false"):
         pgran.heat(varied, [0.9], [193], radius=1e-9, balls=[200])
 
 
@@ -145,7 +144,7 @@ def test_drag_holds_what_floats():
     assert smallest_damping(chain) == pytest.approx(0.1)
     found = pgran.sweep(chain, [0.3, 2.0], [1])
     assert found.failures == 0
-    with pytest.raises(InputError, match="1 of the balls float, ball 3"):
+    with pytest.raises(pgran.InputError, match="1 of the balls float, ball 3"):
         pgran.sweep(dataclasses.replace(chain, drag=[0.1, 0.1, 0.1, 0.0]), [0.3], [1])
 
 

@@ -12,7 +12,6 @@ from samples import random_lattice, uniform_lattice
 from scipy.sparse import csr_matrix
 
 import pgran
-from pgran.errors import InputError, PgranError
 from pgran.experiments.modes import dense, scene
 from pgran.experiments.modes.dense import whole_spectrum
 from pgran.experiments.modes.scene import certificate
@@ -133,11 +132,11 @@ def test_whole_spectra_fit_into_memory(monkeypatch):
     monkeypatch.setattr(dense, "total_memory", lambda: dense.memory(network.size))
     assert auto(network) == "eps"
     monkeypatch.setattr(machine, "total_memory", lambda: dense.memory(network.size))
-    with pytest.raises(InputError, match="-modes_method: too much"):
+    with pytest.raises(pgran.InputError, match="-modes_method: too much"):
         pgran.find_modes(network, method="dense")
     monkeypatch.setattr(dense, "LARGEST", 50)
     assert auto(network) == "eps"
-    with pytest.raises(InputError, match=r"up to 50 unknowns.*-modes_method eps"):
+    with pytest.raises(pgran.InputError, match=r"up to 50 unknowns.*-modes_method eps"):
         pgran.find_modes(network, method="dense")
 
 
@@ -153,7 +152,7 @@ def test_what_lapack_meets_is_raised_on_all_ranks(error, monkeypatch, world):
         raise error
 
     monkeypatch.setattr(scipy.linalg, "eigh", fails)
-    with pytest.raises(PgranError, match=r"LAPACK computes no spectrum.*-modes_method eps"):
+    with pytest.raises(pgran.PgranError, match=r"LAPACK computes no spectrum.*-modes_method eps"):
         pgran.find_modes(random_lattice((5, 4)), method="dense")
 
 

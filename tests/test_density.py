@@ -15,7 +15,6 @@ from pgran.command.resolve import resolve
 from pgran.driven.counting import ModeCounter
 from pgran.experiments.modes import density
 from pgran.medium.base import record_of
-from pgran.medium.lattice import Lattice
 from pgran.run.crew import Crew
 from pgran.run.options import read_words
 
@@ -124,7 +123,7 @@ def test_any_ranks_and_units_of_measure(world):
         assert_same(found, density.count_modes(lattice, omegas, alone))
     with Crew(world, 1) as crew:
         assert (density.count_modes(lattice, omegas, crew) is None) == (world.rank > 0)
-    other = Lattice(tuple(1e120 * k for k in lattice.stiffness), 1e120, 0.0, kmax=0.25e120)
+    other = pgran.Lattice(tuple(1e120 * k for k in lattice.stiffness), 1e120, 0.0, kmax=0.25e120)
     assert np.array_equal(pgran.count_modes(other, omegas).count, found.count)
 
 

@@ -13,7 +13,6 @@ from test_journal import stopped_again_and_again
 import pgran
 from pgran.command.forecast import forecast
 from pgran.command.resolve import SCENES, resolve
-from pgran.errors import InputError, PgranError
 from pgran.experiments.ensemble import scene
 from pgran.experiments.ensemble.sampling import over_samples
 from pgran.experiments.ensemble.scene import KEPT
@@ -207,7 +206,7 @@ def test_a_sample_that_misses_its_accuracy_is_left_out(world):
 def test_a_sample_that_cannot_be_computed_is_left_out_aloud(world, monkeypatch, caplog, failing):
     def broken(options, group):
         if options.bonds_seed in failing:
-            raise PgranError("it is broken")
+            raise pgran.PgranError("it is broken")
         return make_lattice(options, group)
 
     monkeypatch.setattr(scene, "make_lattice", broken)
@@ -222,11 +221,11 @@ def test_a_sample_that_cannot_be_computed_is_left_out_aloud(world, monkeypatch, 
 
 def test_wrong_input_is_the_runs_and_not_a_samples(world, monkeypatch):
     def broken(*given):
-        raise InputError("wrong")
+        raise pgran.InputError("wrong")
 
     monkeypatch.setattr(scene, "make_lattice", broken)
     if world.size == 1:
-        with pytest.raises(InputError, match="wrong"):
+        with pytest.raises(pgran.InputError, match="wrong"):
             ran("response", "", world)
 
 
@@ -270,7 +269,7 @@ def test_a_dry_run_foresees_it(world, of):
     ],
 )
 def test_what_only_the_run_can_see(world, of, text, said):
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(pgran.InputError, match=said):
         ran(of, text, world)
 
 

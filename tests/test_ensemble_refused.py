@@ -4,7 +4,6 @@ import pytest
 from test_ensemble import LATTICE, OMEGAS, lattice_of
 
 import pgran
-from pgran.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("world")  # what all ranks call alike
 
@@ -34,5 +33,5 @@ pytestmark = pytest.mark.usefixtures("world")  # what all ranks call alike
 )
 def test_wrong_values_in_python(of, given, said):
     given = {"samples": 5, "lattice": LATTICE} | given
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(pgran.InputError, match=said):
         pgran.ensemble(of, **given)

@@ -16,7 +16,6 @@ from test_light_balls import light_chain
 
 import pgran
 from pgran import __main__ as program
-from pgran.command.export import export
 from pgran.errors import FileError, InputError, PgranError
 from pgran.experiments.relaxation import fluctuations
 from pgran.medium.base import record_of
@@ -42,7 +41,7 @@ def packing(displacement="vector", **others):
 def read_mesh(result, path):
     """What meshio reads of an export: points, lines, data of points and of lines."""
     meshio = pytest.importorskip("meshio")
-    export(result, path)
+    pgran.export(result, path)
     mesh = meshio.read(path)
     ((kind, lines),) = [(cells.type, cells.data) for cells in mesh.cells]
     assert kind == "line"
@@ -105,7 +104,7 @@ MEDIA = {  # of the component that is read; with drag, power laws, loss, a push,
 def test_matrices_have_the_modes_and_the_steady_states(world, tmp_path, name):
     """In their file: K u = omega^2 M u, u^T M u = m, and S u = f."""
     net = MEDIA[name]()
-    with np.load(*export(net, tmp_path / "a.npz")) as f:
+    with np.load(*pgran.export(net, tmp_path / "a.npz")) as f:
         unknowns, force = f["unknowns"], f["f_K"] + 0.7j * f["f_C"]
         entries = [(f[X], (f[f"{X}_row"], f[f"{X}_column"])) for X in "KCM"]
     K, C, M = (csr_matrix(each, 2 * unknowns.shape).toarray() for each in entries)
@@ -171,7 +170,7 @@ def test_exported_fields_of_a_pulse(tmp_path, displacement):
         if turned is not None:
             assert np.array_equal(turned[net.free, 2], components[:, 2])
             assert not turned[:, :2].any()
-    export(result_of(found, net), tmp_path / "p.pvd")
+    pgran.export(result_of(found, net), tmp_path / "p.pvd")
     listed = ElementTree.parse(tmp_path / "p.pvd").findall(".//DataSet")
     assert [float(each.get("timestep")) for each in listed] == found.field_time.tolist()
     for number, each in enumerate(listed, 1):
@@ -189,7 +188,7 @@ def test_ovito_reads_chosen_modes(tmp_path, displacement):
     points, lines, balls, bonds = read_mesh(result, tmp_path / "a.vtu")
     moves = {".xyz": ["Displacement", "rotation"], ".dump": ["Velocity", "Angular Velocity"]}
     for ending, (move, turn) in moves.items():
-        path, *others = export(result, tmp_path / f"a{ending}", modes=[3, 0])
+        path, *others = pgran.export(result, tmp_path / f"a{ending}", modes=[3, 0])
         frames = ovito.import_file(path)
         assert frames.num_frames == 2
         for n, mode in enumerate([3, 0]):
@@ -244,15 +243,15 @@ def test_tables_of_scenes(tmp_path, medium):
     for d, name in enumerate(names):
         expected |= parts(f"displacement_{name}", found.displacement[:, d])
         expected |= {f"delay_{name}": found.delay[:, d]}
-    assert export(result_of(found, net), path) == [path]
+    assert pgran.export(result_of(found, net), path) == [path]
     assert_columns(path, expected)
     sent = {"width": 3.0, "omega": 0.5, "time": 40.0, "points": 61}
     heard = pgran.pulse(net, np.ravel(sites), fields=True, **sent)
     speeds = {f"velocity_{name}": heard.velocity[:, d] for d, name in enumerate(names)}
-    assert export(result_of(heard, net), path) == [path]
+    assert pgran.export(result_of(heard, net), path) == [path]
     assert_columns(path, {"time": heard.time, "wall": heard.wall} | speeds)
     modes = pgran.find_modes(net)
-    assert export(result_of(modes, net), path) == [path]
+    assert pgran.export(result_of(modes, net), path) == [path]
     names = assert_columns(path, {"participation": modes.participation})
     proven = ("omega_bound",) * (medium == "network")
     assert names == ("omega", "residual", "participation", *proven, "width", "source")
@@ -280,7 +279,7 @@ def test_tables_of_several_axes(tmp_path):
         (result_of(counts, lattice), {"a": {"count": counts.count},
                                       "a-middle": {"density": counts.density}}),
     ):  # fmt: skip
-        paths = export(result, tmp_path / "a.csv")
+        paths = pgran.export(result, tmp_path / "a.csv")
         assert [path.stem for path in paths] == [*tables]
         for path, expected in zip(paths, tables.values(), strict=True):
             assert_columns(path, expected)
@@ -313,7 +312,7 @@ def test_no_room_for_an_export(tmp_path, ending):
     path.write_bytes(b"earlier")
     modes = result_of(pgran.find_modes(net), net)
     with no_room_beyond(100, path.name):
-        export(modes, path)
+        pgran.export(modes, path)
     assert path.read_bytes() == b"earlier"
     assert [*tmp_path.iterdir()] == [path]
 
@@ -325,16 +324,16 @@ def test_refusals(tmp_path, monkeypatch):
     box = pgran.continuum(np.linspace(0.3, 3, 5), point=(0.15, 0.52), size=(1 / 3, 1.0))
     (tmp_path / "file").touch()
     with pytest.raises(FileError, match=r"ends in one of \.vtu, \.pvd"):
-        export(modes, tmp_path / "a.png")
+        pgran.export(modes, tmp_path / "a.png")
     with pytest.raises(InputError, match=r"chosen for \.vtu, \.pvd, \.xyz, \.dump, not for \.csv"):
-        export(modes, tmp_path / "a.csv", modes=[0])
+        pgran.export(modes, tmp_path / "a.csv", modes=[0])
     with pytest.raises(FileError, match=r"no table in this result .scene network"):
-        export(net, tmp_path / "a.csv")
+        pgran.export(net, tmp_path / "a.csv")
     with pytest.raises(FileError, match=r"a\.csv: cannot be written"):
-        export(modes, tmp_path / "file" / "a.csv")
+        pgran.export(modes, tmp_path / "file" / "a.csv")
     monkeypatch.setitem(sys.modules, "meshio", SimpleNamespace())
     with pytest.raises(FileError, match="no positions"):
-        export(modes, tmp_path / "a.vtu")
+        pgran.export(modes, tmp_path / "a.vtu")
     with pytest.raises(FileError, match=r"no balls in this result .scene continuum"):
-        export(result_of(box), tmp_path / "a.vtu")
+        pgran.export(result_of(box), tmp_path / "a.vtu")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

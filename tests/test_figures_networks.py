@@ -23,7 +23,6 @@ from pgran.experiments.response import figures as response
 from pgran.medium.base import record_of
 from pgran.medium.crystals import crystal
 from pgran.medium.network_file import write_network
-from pgran.medium.source import with_source
 from pgran.medium.space import reaches
 
 HEIGHT = 3 * np.sqrt(3)  # of the periodic strip
@@ -121,7 +120,7 @@ def test_balls_are_circles_and_those_that_are_held_or_heard_are_marked():
 
 def test_what_drives_is_marked_where_it_does():
     net = strip()
-    pushed = record_of(with_source(net, balls=net.free[[3]]))
+    pushed = record_of(pgran.with_source(net, balls=net.free[[3]]))
     assert np.array_equal(np.flatnonzero(View(pushed).kind == 2), net.free[[3]])
     assert np.array_equal(View(record_of(net), driven=False).kind, np.minimum(net.held, 1))
     # the arrow is at another driven ball than the middle one where that has a detector beside it

@@ -14,12 +14,11 @@ import pytest
 from petsc4py import PETSc
 from samples import random_lattice, run_scene, steady
 
+from pgran import InputError, Network
 from pgran.command import forecast, medium
 from pgran.command.resolve import SCENES, resolve
-from pgran.errors import InputError
 from pgran.experiments.modes import dense, scene
 from pgran.medium import crystals as makers
-from pgran.medium.network import Network
 from pgran.run import machine
 from pgran.run.options import read_file, read_words
 from pgran.run.task import Task

@@ -11,14 +11,13 @@ from mpi4py import MPI
 from samples import steady
 from scipy.sparse.linalg import splu
 
+from pgran import Network, find_modes
 from pgran.driven import counting
 from pgran.driven.counting import ModeCounter, smallest_damping
 from pgran.driven.linear import factor_package
 from pgran.driven.operators import Operators
-from pgran.experiments.modes.scene import find_modes
 from pgran.medium import crystals as makers
 from pgran.medium import graph as graphs
-from pgran.medium.network import Network
 from pgran.medium.springs import SYMMETRIC
 from pgran.run.petsc import PETSc
 

@@ -8,7 +8,6 @@ from samples import random_lattice, uniform_lattice
 from sensitivity_samples import packing
 
 import pgran
-from pgran.errors import InputError
 from pgran.experiments.green.scene import SCENE
 from pgran.medium.base import record_of
 from pgran.run.crew import Crew
@@ -140,5 +139,5 @@ REFUSED = [
 
 @pytest.mark.parametrize(("medium", "sources", "choices", "said"), REFUSED)
 def test_what_is_refused(medium, sources, choices, said):
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(pgran.InputError, match=said):
         pgran.green(medium, [0.3], sources, **choices)

@@ -9,15 +9,13 @@ from packing_samples import cells
 from sensitivity_samples import assert_same_on_ranks, heated, packing
 from small import OPTIONS
 
+from pgran import InputError, pack, with_source
 from pgran.balance.equilibrium import NotBalancedError
-from pgran.balance.pack import pack
-from pgran.errors import InputError
 from pgran.experiments.sensitivity import growth
 from pgran.experiments.sensitivity.growth import Packing
 from pgran.experiments.sensitivity.heat import summary
 from pgran.experiments.sensitivity.record import OUTCOMES
 from pgran.medium.network_file import read_network
-from pgran.medium.source import with_source
 from pgran.run.experiment import Caution
 
 

@@ -15,13 +15,11 @@ from sensitivity_samples import (
     packing,
 )
 
+from pgran import InputError, Lattice, Network
 from pgran.driven import drive, steady
 from pgran.driven.linear import ReusePolicy
 from pgran.driven.steady import SteadySolver
-from pgran.errors import InputError
 from pgran.experiments.sensitivity.finite import changed_amplitudes
-from pgran.medium.lattice import Lattice
-from pgran.medium.network import Network
 from pgran.run.petsc import holding
 
 NETWORK = packing("vector")

@@ -18,7 +18,6 @@ from packing_samples import (
 )
 
 import pgran
-from pgran.errors import InputError
 from pgran.foreign.contacts import power_of
 from pgran.medium import packing
 from pgran.medium.conditions import choose
@@ -295,7 +294,7 @@ def test_conditions():
         "", "x", "x<", "x<1.5.2", "x<1 and", "x<1 xor y<2", "__import__('os')", "x<y", "x<min1",
         "1<x", "x=1", "50-60", "3,77", "x>100", "x<nan", "3,,4", "9" * 30,
     ):  # fmt: skip
-        with pytest.raises(InputError):
+        with pytest.raises(pgran.InputError):
             choose("rest", wrong, np.arange(50), table.__getitem__)
 
 

@@ -14,7 +14,6 @@ import pgran.results
 from pgran.command.resolve import resolve
 from pgran.experiments.response import scene as response
 from pgran.medium.base import record_of
-from pgran.medium.law import BondLaw
 from pgran.run.crew import Crew
 from pgran.run.options import read_words
 
@@ -22,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("world")  # what all ranks call alike
 
 LATTICE = random_lattice((6, 5))
 PACKING = Path(__file__).parents[1] / "options" / "packings" / "discs.h5"
-OMEGAS, LAW = [0.2, 0.5, 0.8], BondLaw("uniform")
+OMEGAS, LAW = [0.2, 0.5, 0.8], pgran.BondLaw("uniform")
 
 
 def test_a_record_on_every_rank(world):

@@ -12,16 +12,8 @@ import pytest
 from result_samples import no_room_beyond
 from samples import assert_same, random_lattice
 
-from pgran.balance.pack import pack
+from pgran import BondLaw, count_modes, find_modes, heat, pack, project, pulse, relax, sweep
 from pgran.errors import FileError, InputError, StoppedError
-from pgran.experiments.modes.density import count_modes
-from pgran.experiments.modes.projection import project
-from pgran.experiments.modes.scene import find_modes
-from pgran.experiments.pulse.scene import pulse
-from pgran.experiments.relaxation.scene import relax
-from pgran.experiments.response.scene import sweep
-from pgran.experiments.sensitivity.scene import heat
-from pgran.medium.law import BondLaw
 from pgran.run.crew import Crew
 from pgran.run.journal import MAGIC, RECORD, Journal
 from pgran.run.launch import SIGNALS

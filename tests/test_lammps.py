@@ -12,10 +12,8 @@ from small import OPTIONS
 
 import pgran
 from pgran.balance.networks import by_positions, floor
-from pgran.command.export import export
 from pgran.errors import FileError, InputError
 from pgran.medium.base import record_of
-from pgran.medium.lattice import Lattice
 from pgran.medium.network_file import parts_of, read_network, write_network
 from pgran.store.record import Result
 
@@ -36,7 +34,7 @@ def packing(name):
 def test_the_files_hold_the_packing(tmp_path, name):
     """All numbers to all digits; forces, contact by contact, as far as positions hold them."""
     network = packing(name)
-    paths = export(network, tmp_path / "a.lmp")
+    paths = pgran.export(network, tmp_path / "a.lmp")
     assert [path.name for path in paths] == ["a.lmp", "a.in"]
     found = lammps_like.read_packing(paths[1])
     for what in ("position", "radius"):
@@ -93,12 +91,12 @@ def test_units_of_an_import_and_of_a_result(tmp_path):
         spheres, force=7 * spheres.force, stiffness=7 * spheres.stiffness, kmax=7 * spheres.kmax
     )
     result = Result([record_of(scaled), pgran.find_modes(scaled)], scene="modes")
-    _, script = export(result, tmp_path / "a.lmp")
+    _, script = pgran.export(result, tmp_path / "a.lmp")
     assert lammps_like.read_packing(script)["modulus"] == pytest.approx(7)
 
 
 def test_what_lammps_cannot_take(tmp_path):
-    network, lattice = packing("discs"), Lattice((np.ones(3),), 1.0, 0.1)
+    network, lattice = packing("discs"), pgran.Lattice((np.ones(3),), 1.0, 0.1)
     shaken = dataclasses.replace(network, force=1.01 * network.force)
     odd = pgran.pack(40, law=1.25, pressure=1e-2)
     for medium, name, message in (
@@ -110,6 +108,6 @@ def test_what_lammps_cannot_take(tmp_path):
         (shaken, "a", "say other forces, by .* of the mean one"),
     ):
         with pytest.raises((FileError, InputError), match=message) as refused:
-            export(medium, tmp_path / f"{name}.lmp")
+            pgran.export(medium, tmp_path / f"{name}.lmp")
         assert "\n" not in str(refused.value)
     assert not [*tmp_path.iterdir()]

@@ -8,10 +8,9 @@ from petsc4py import PETSc
 from reference import balls, bonds
 from samples import bond_arrays, random_lattice, steady, uniform_lattice
 
-from pgran.errors import InputError
+from pgran import InputError, Lattice
 from pgran.medium.base import check_frequency
 from pgran.medium.bonds import bond_count, bond_ends, bond_shape, dissected
-from pgran.medium.lattice import Lattice
 
 SHAPES = [(1,), (9,), (1, 4), (3, 1, 2), (4, 5, 6)]
 

@@ -9,7 +9,6 @@ from samples import random_lattice, reference_of
 from synthetic import fair
 
 import pgran
-from pgran.errors import InputError
 from pgran.experiments.modes import levels, shapes
 from pgran.store.estimate import with_error
 
@@ -92,7 +91,7 @@ LEVELS, MODES = np.arange(99.0), np.arange(0.005, 1.0, 0.01)
     ],
 )
 def test_levels_that_are_too_few_or_no_spectrum(statistic, arguments, message):
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(pgran.InputError, match=message):
         statistic(*arguments)
 
 

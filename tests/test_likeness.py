@@ -13,7 +13,6 @@ from synthetic import codas, fair, weaver
 
 import pgran
 from pgran.command.compare import table
-from pgran.errors import PgranError
 from pgran.experiments.likeness.compare import MOVES, Pair
 from pgran.experiments.relaxation import fluctuations as memory
 from pgran.store import file as store
@@ -140,7 +139,7 @@ def changed(result, change):
 )
 def test_what_cannot_be_compared(results, kind, change, choices, said):
     other = changed(results[kind], change) if kind in results else SimpleNamespace(scene=kind)
-    with pytest.raises(PgranError, match=said):
+    with pytest.raises(pgran.PgranError, match=said):
         pgran.compare(results.get(kind, results["response"]), other, **choices)
 
 

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from pgran import InputError, find_modes
 from pgran.driven.counting import smallest_damping
 from pgran.driven.operators import Operators
-from pgran.errors import InputError
-from pgran.experiments.modes.scene import find_modes
 from pgran.medium import crystals as makers
 from pgran.medium.graph import without_floating
 

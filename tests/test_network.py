@@ -10,16 +10,13 @@ from mpmath import mp, mpf
 from network_samples import NetworkReference
 from samples import steady
 
+from pgran import InputError, Network, find_modes, pulse
 from pgran.command.resolve import SCENES
 from pgran.driven.counting import smallest_damping
 from pgran.driven.operators import Operators
-from pgran.errors import InputError
-from pgran.experiments.modes.scene import find_modes
-from pgran.experiments.pulse.scene import pulse
 from pgran.medium import crystals as makers
 from pgran.medium.base import record_of
 from pgran.medium.graph import without_floating
-from pgran.medium.network import Network
 from pgran.run.petsc import PETSc
 from pgran.store.record import Result
 

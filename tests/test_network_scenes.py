@@ -6,8 +6,6 @@ from network_samples import as_network
 from samples import random_lattice
 
 import pgran
-from pgran.errors import InputError
-from pgran.medium.network import Network
 from pgran.run.crew import Crew
 
 SIZE, BALL = (6, 5), (2, 3)
@@ -105,8 +103,8 @@ def test_what_no_drive_reaches_is_refused(world):
         ([1, 0, 2, 0, 0], "2 of the balls float, ball 3 first"),
         ([1, 0, 0, 0, 1], "no ball is driven"),
     ):
-        network = Network(chain, np.ones(3), held)
-        with Crew(world, 1) as crew, pytest.raises(InputError, match=said):
+        network = pgran.Network(chain, np.ones(3), held)
+        with Crew(world, 1) as crew, pytest.raises(pgran.InputError, match=said):
             pgran.sweep(network, OMEGAS, [1], crew)
 
 
@@ -121,7 +119,7 @@ def test_dashpots_that_damp_no_rotation_are_spoken_of_where_ranks_share(
     position = np.array([[0, 0], [1, 0], [0.5, 0.8], [1.5, 0.8], [1.0, 1.6]])
     bond = [[0, 2], [1, 2], [1, 3], [2, 3], [2, 4], [3, 4]]
     more = {"radius": [0.5] * 5, "tangential": [0.5] * 6} if kind == "rotations" else {}
-    network = Network(
+    network = pgran.Network(
         bond, [1.0] * 6, [1, 1, 0, 0, 2], displacement=kind, position=position, damped=damped,
         damping=0.1, **more,
     )  # fmt: skip

@@ -14,16 +14,14 @@ from petsc4py import PETSc
 from reference import Reference, uniform_frequencies
 from samples import islands, random_lattice, uniform_lattice
 
+from pgran import InputError, Lattice, Network
 from pgran.driven.counting import ModeCounter
 from pgran.driven.operators import Operators
-from pgran.errors import InputError
 from pgran.experiments.modes import normal, slices
 from pgran.experiments.modes.normal import ModeSolver
 from pgran.experiments.modes.scene import certificate, find_modes
 from pgran.medium import crystals
 from pgran.medium.base import Elimination
-from pgran.medium.lattice import Lattice
-from pgran.medium.network import Network
 from pgran.run.crew import Crew
 
 SOLVERS = Path(__file__).parents[1] / "options" / "solvers"

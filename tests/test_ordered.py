@@ -10,7 +10,6 @@ import pytest
 
 import pgran
 from pgran.command.imports import middle
-from pgran.errors import InputError
 from pgran.medium.crystals import square
 from pgran.medium.graph import subnetwork
 
@@ -76,7 +75,7 @@ def test_what_has_no_counterpart():
         "not beyond": dataclasses.replace(packing, held=turned),
         "more than a lattice": subnetwork(packing, contacts=3 * [*range(packing.bonds)]),
     }.items():
-        with pytest.raises(InputError, match=message):
+        with pytest.raises(pgran.InputError, match=message):
             pgran.ordered(refused)
 
 

@@ -9,7 +9,6 @@ import pgran
 from pgran.balance import settle
 from pgran.balance.equilibrium import NotBalancedError
 from pgran.balance.pack import diameters, packed_network
-from pgran.errors import InputError
 
 
 def test_sizes():
@@ -133,7 +132,7 @@ def test_bad_packings_are_refused():
     }
     for message, each in refused.items():
         for choices in each:
-            with pytest.raises(InputError, match=message) as caught:
+            with pytest.raises(pgran.InputError, match=message) as caught:
                 pgran.pack(**{"balls": 50} | choices)
             assert "\n" not in str(caught.value)
 
@@ -149,7 +148,7 @@ def test_networks_of_balls(caplog):
         ("no two balls overlap", {"radius": 0.45}), ("a positive stiffness", {"modulus": -1.0}),
         ("must be positive", {"radius": [0.5, 0, 1]}), ("same place", {"position": [[1.0, 2]] * 3}),
     ):  # fmt: skip
-        with pytest.raises(InputError, match=message):
+        with pytest.raises(pgran.InputError, match=message):
             pgran.Network.of_balls(**row | wrong)
 
 

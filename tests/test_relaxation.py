@@ -10,7 +10,6 @@ from samples import UNIFORM, needs_klu, random_lattice, relaxed, run_scene, stea
 import pgran
 from pgran.command.resolve import resolve
 from pgran.driven.steady import SteadySolver
-from pgran.errors import InputError
 from pgran.experiments.relaxation import windows
 from pgran.experiments.relaxation.fluctuations import power_spectrum
 from pgran.experiments.relaxation.windows import BondExchange, Windows, march
@@ -177,13 +176,13 @@ def test_steps_that_miss_their_accuracy_hold_no_number(method, options, toleranc
 def test_windows_need_a_factorization_and_damping(solver_options):
     """And without damping, the other methods have bounds."""
     lattice = random_lattice((4, 4), damping=0.0)
-    with pytest.raises(InputError, match="needs damping"):
+    with pytest.raises(pgran.InputError, match="needs damping"):
         relaxed(lattice, [1, 1], steps=4)
     relaxation = relaxed(lattice, [1, 1], omega=1.3, steps=20, method="krylov")
     assert np.all(relaxation.error_bound <= 1e-4 * relaxation.amplitude)
     assert largest_error(lattice, relaxation, range(21)) <= 1e-4
     solver_options("-steady_pc_type jacobi")
-    with pytest.raises(InputError, match="relax_method window"):
+    with pytest.raises(pgran.InputError, match="relax_method window"):
         relaxed(random_lattice((4, 4), damping=0.1), [1, 1], steps=4)
 
 

@@ -15,7 +15,6 @@ from samples import run_scene
 import pgran
 from pgran.command.resolve import SCENES, resolve
 from pgran.draw import scales
-from pgran.errors import InputError
 from pgran.medium.base import record_of
 from pgran.run.options import read_words
 from pgran.store.record import Result
@@ -229,5 +228,5 @@ def test_impossible_units(call, place):
         place("m.opts", f"-scene {words}")
         done = call("run", "m.opts")
         assert (done.returncode, said in done.stderr) == (2, True), done.stderr
-    with pytest.raises(InputError, match="-units_time: a unit lies between"):
+    with pytest.raises(pgran.InputError, match="-units_time: a unit lies between"):
         SI(time=math.nan)

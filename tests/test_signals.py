@@ -23,7 +23,6 @@ from synthetic import fair
 
 import pgran
 from pgran.driven.operators import Operators
-from pgran.errors import InputError
 from pgran.experiments.pulse.integrator import Integrator
 from pgran.experiments.pulse.laplace import Line, largest_amplitudes, limits_of
 from pgran.experiments.pulse.scene import predicted_seconds, summary
@@ -31,7 +30,6 @@ from pgran.experiments.pulse.signals import arrivals, codas, envelopes, front_sp
 from pgran.experiments.pulse.wall import Pulse
 from pgran.medium import crystals as makers
 from pgran.medium.base import record_of
-from pgran.medium.lattice import Lattice
 from pgran.run.keys import holding_solver, solver_keys_of
 from pgran.store.record import Result
 
@@ -188,7 +186,7 @@ def test_parseval_along_the_line():
 def test_the_force_on_the_other_wall_is_the_same_from_both_sides(alone, size):
     """A lattice and its mirror image, random bonds, damping: within the sum of all bounds."""
     lattice = random_lattice(size, 9, 0.05)
-    turned = Lattice(tuple(np.flip(k, 0) for k in lattice.stiffness), 1.0, 0.05)
+    turned = pgran.Lattice(tuple(np.flip(k, 0) for k in lattice.stiffness), 1.0, 0.05)
     forces, wrong = [], 0.0
     for one in (lattice, turned):
         sites = [(0, *rest) for rest in np.ndindex(*size[1:])]
@@ -282,7 +280,7 @@ def test_an_integration_that_gives_up_is_not_passed(place, call, world):
 )
 def test_what_would_make_another_integration_is_refused(world, solver_options, key):
     solver_options(f"-pulse_{key}")
-    with pytest.raises(InputError, match=f"-pulse_{key.split()[0]}"):
+    with pytest.raises(pgran.InputError, match=f"-pulse_{key.split()[0]}"):
         listened(random_lattice((4, 3), 5), (2, 1), world, method="integrate")
 
 
@@ -302,7 +300,7 @@ def test_steps_of_a_fixed_length_are_halved_for_the_estimate(alone, solver_optio
 def test_a_wall_that_drives_nothing(world):
     """No spring and no dashpot at the driven wall: nothing moves, and that is proven."""
     bonds = random_lattice((4, 3), 1).stiffness
-    still = Lattice((np.vstack([bonds[0][:-1], 0 * bonds[0][-1:]]), bonds[1]), damping=0.0)
+    still = pgran.Lattice((np.vstack([bonds[0][:-1], 0 * bonds[0][-1:]]), bonds[1]), damping=0.0)
     found = listened(still, (2, 2), world)
     assert not found.displacement.any()
     assert found.error_bound.max() < 1e-10

@@ -10,11 +10,9 @@ import pgran
 import pgran.__main__ as program
 from pgran.command.resolve import resolve
 from pgran.command.sound import table
-from pgran.errors import InputError, PgranError
 from pgran.medium import crystals, statics
 from pgran.medium.base import record_of
 from pgran.medium.graph import rattlers, subnetwork, with_rattlers_at_rest
-from pgran.medium.network import Network
 from pgran.medium.network_file import parts_of, write_network
 from pgran.medium.sample import make_lattice
 from pgran.run.options import read_words
@@ -73,7 +71,7 @@ def test_scalar_chains_are_springs_in_a_row():
     k, masses, last = rng.uniform(0.1, 1, 10), rng.uniform(1, 3, 10), np.arange(10)
     position = (places + rng.uniform(-0.2, 0.2, 10))[:, None]
     bond = np.stack([last, (last + 1) % 10], axis=1)
-    ring = Network(bond, k, 0 * last, masses, position=position, box=[14.0])
+    ring = pgran.Network(bond, k, 0 * last, masses, position=position, box=[14.0])
     speed = pgran.sound(ring).longitudinal.speed
     assert speed**2 == pytest.approx(14**2 / np.sum(1 / k) / masses.sum(), rel=1e-12)
 
@@ -84,7 +82,7 @@ def test_lattices_between_walls():
     np.testing.assert_allclose(squares(found.longitudinal), 0.15)
     found = pgran.sound(pgran.Lattice.random((6, 4), law="constant", kmax=0.3, free=["y+"]))
     np.testing.assert_allclose(squares(found.longitudinal), 0.3)
-    with pytest.raises(InputError, match="no axis of the lattice has two walls"):
+    with pytest.raises(pgran.InputError, match="no axis of the lattice has two walls"):
         pgran.sound(pgran.Lattice.random((6, 4), free=["x-", "y+"]))
     found = pgran.sound(pgran.Lattice.random((100, 100))).longitudinal
     assert found.speed == pytest.approx(0.316, abs=0.002)
@@ -136,17 +134,17 @@ def test_rattlers_are_left_out(tmp_path, world):
     made = make_lattice(resolve(read_words([*words, *file])), world)
     assert np.array_equal(made.held, np.arange(48) == 20)
     assert made.bonds == rest.bonds
-    with pytest.raises(InputError, match="network_rattlers belongs"):
+    with pytest.raises(pgran.InputError, match="network_rattlers belongs"):
         resolve(read_words(words))
     bond = [[0, 1], [1, 2], [2, 0], [2, 3], [3, 4]]
     places = [[0, 0], [1, 0], [0, 1], [0, 2], [0, 3]]
-    path = Network(bond, np.ones(5), [1, 1, 0, 0, 0], displacement="vector", position=places)
+    path = pgran.Network(bond, np.ones(5), [1, 1, 0, 0, 0], displacement="vector", position=places)
     rough = dataclasses.replace(path, tangential=np.ones(5))
     scalar = dataclasses.replace(path, displacement="scalar", direction=None)
     for network, few in ((path, [2, 3, 4]), (rough, [3, 4]), (scalar, [])):
         assert np.flatnonzero(rattlers(network)).tolist() == few
     for leave_out in (pgran.sound, pgran.without_rattlers, with_rattlers_at_rest):
-        with pytest.raises(InputError, match="all of its 3 free balls are rattlers"):
+        with pytest.raises(pgran.InputError, match="all of its 3 free balls are rattlers"):
             leave_out(path)
     assert pgran.find_modes(rough).omega[0] > 0.1  # rattlers hang on one contact, in two ways
 
@@ -160,10 +158,10 @@ def test_what_has_no_sound(monkeypatch):
         ({"stiffness": np.zeros(144)}, "loose"),
         ({"stiffness": np.repeat([1.0, 0.0], [96, 48])}, "loose"),
     ):
-        with pytest.raises(InputError, match=f"^sound: .*{message}"):
+        with pytest.raises(pgran.InputError, match=f"^sound: .*{message}"):
             pgran.sound(dataclasses.replace(TRIANGULAR, **changes))
     monkeypatch.setattr(statics, "LARGEST_IMBALANCE", -1.0)
-    with pytest.raises(PgranError, match="forces balance to"):
+    with pytest.raises(pgran.PgranError, match="forces balance to"):
         pgran.sound(random_lattice((5, 4)))
 
 

@@ -8,11 +8,8 @@ from reference import uniform_field
 from samples import listened, random_lattice, relaxed, swept, uniform_lattice
 
 import pgran
-from pgran.errors import InputError
+from pgran import InputError, Lattice, Network, with_source
 from pgran.medium.base import record_of
-from pgran.medium.lattice import Lattice
-from pgran.medium.network import Network
-from pgran.medium.source import with_source
 from pgran.medium.springs import stiffness_matrix
 
 OMEGAS = np.array([0.11, 0.42, 0.9])

@@ -10,7 +10,6 @@ from scipy.stats import norm
 from synthetic import fair, gaussian_fields, lorentzian, lorentzians, mean_intensity
 
 import pgran
-from pgran.errors import InputError
 from pgran.experiments.ensemble import statistics as noise
 from pgran.experiments.ensemble.record import Ensemble
 from pgran.experiments.ensemble.statistics import NoisyCurves
@@ -131,7 +130,7 @@ def test_measures_are_withheld_below_the_samples_that_make_their_errors_right(na
         misses.append((found.value - truth) / found.error)
     assert abs(np.mean(misses)) < bias + 2 / math.sqrt(60)
     assert np.std(misses) < 1.3 + 2 / math.sqrt(120)
-    with pytest.raises(InputError, match=f"{needed - 1} samples are too few .* {needed} are"):
+    with pytest.raises(pgran.InputError, match=f"{needed - 1} samples are too few .* {needed} are"):
         measure(NoisyCurves(omega, A[:-1]))
 
 
@@ -177,7 +176,7 @@ ONE_ZERO = FIELDS * (np.arange(600) > 0) ** np.eye(80)[0][:, None]
     ],
 )  # fmt: skip
 def test_what_cannot_be_measured(measure, arguments, message):
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(pgran.InputError, match=message):
         (measure or (lambda curves: None))(NoisyCurves(*arguments))
 
 
@@ -268,7 +267,7 @@ def test_what_cannot_be_measured_is_nan_aloud(gaussian, caplog):
     ],
 )
 def test_what_is_refused(gaussian, changes, windows, said):
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(pgran.InputError, match=said):
         pgran.statistics(dataclasses.replace(gaussian, **changes), windows)
 
 

@@ -10,7 +10,6 @@ import pytest
 from synthetic import complex_normal, fair, gaussian_fields
 
 import pgran
-from pgran.errors import InputError
 from pgran.experiments.ensemble import transport
 from pgran.experiments.ensemble.profiles import Profiles, certain
 from pgran.experiments.modes import levels
@@ -65,7 +64,7 @@ def test_lines_leave_the_rims_out_and_refuse_what_is_bent():
     )
     assert np.mean(inside.straightness() < 0.05) < 0.15
     assert np.isnan(profiles_of(bent[:9]).straightness()).all()  # of too few samples
-    with pytest.raises(InputError, match="0 samples are too few"):
+    with pytest.raises(pgran.InputError, match="0 samples are too few"):
         profiles_of(bent[:0])
 
 
@@ -173,7 +172,7 @@ def test_samples_that_are_not_finite_are_left_out_aloud(caplog, amplitude, deriv
     ],
 )
 def test_what_has_no_profile(measure, arguments, message):
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(pgran.InputError, match=message):
         getattr(Profiles(*arguments), measure)()
 
 
@@ -257,7 +256,7 @@ def test_lengths_are_told_where_sound_propagates():
     assert not waves[omegas < 0.2].any()
     said = " ".join(transport.summary(SimpleNamespace(transport=found, medium=first)))
     assert re.search(r"sound propagates at omega from .* no lengths .* attenuation length", said)
-    with pytest.raises(InputError, match=r"all frequencies lie below the first mode, at 0\."):
+    with pytest.raises(pgran.InputError, match=r"all frequencies lie below the first mode, at 0\."):
         pgran.transport(*shaken(lattice, omegas[:5]))
 
 
@@ -290,9 +289,9 @@ def test_where_there_is_no_transport():
     lattice, bare = shaken({"shape": (12, 9)}, [0.5], keep="measures")
     assert transport.is_line(lattice, lattice.sites(LINE[:3]))
     assert not transport.is_line(lattice, lattice.sites(LINE[:2]))
-    with pytest.raises(InputError, match="no curves"):
+    with pytest.raises(pgran.InputError, match="no curves"):
         pgran.transport(lattice, bare)
-    with pytest.raises(InputError, match="3 samples are too few"):
+    with pytest.raises(pgran.InputError, match="3 samples are too few"):
         pgran.transport(*shaken({"shape": (12, 9)}, [0.5], 3))
 
 

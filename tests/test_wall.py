@@ -12,10 +12,9 @@ from petsc4py import PETSc
 from reference import DRIVEN, bonds, refined_field
 from samples import assert_same, bond_arrays, random_lattice, steady, swept, uniform_lattice
 
+from pgran import Lattice, Network
 from pgran.driven.accuracy import Accuracy
 from pgran.medium import crystals as makers
-from pgran.medium.lattice import Lattice
-from pgran.medium.network import Network
 
 DIGITS = 60
 LATTICES = [((30,), 0.02), ((5, 6), 3e-4), ((3, 4, 3), 0.03)]

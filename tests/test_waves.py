@@ -18,7 +18,6 @@ from scipy.integrate import quad
 import pgran
 from pgran.command.resolve import SCENES, resolve
 from pgran.driven.accuracy import Accuracy
-from pgran.errors import InputError
 from pgran.experiments.modes.figures import speeds
 from pgran.experiments.structure import figures
 from pgran.experiments.structure.scene import fitted, ioffe_regel, spectrum
@@ -156,10 +155,10 @@ def test_wave_numbers_of_a_uniform_lattice_are_those_of_its_standing_waves(shape
     assert set(branch) == {"scalar"}
     (points, *_) = lines(draw(speeds, modes, record_of(lattice)), marker=".")
     assert points.get_ydata() == pytest.approx(modes.omega / k / lattice.omega_mx)
-    with pytest.raises(InputError, match="no shapes"):
+    with pytest.raises(pgran.InputError, match="no shapes"):
         pgran.find_modes(lattice).wave_numbers(lattice)
     free = dataclasses.replace(lattice, free=("x-", "x+", "y-", "y+")[: 2 * len(shape)])
-    with pytest.raises(InputError, match="no periods and no walls"):
+    with pytest.raises(pgran.InputError, match="no periods and no walls"):
         modes.wave_numbers(free)
 
 
@@ -240,7 +239,7 @@ def test_what_is_refused(change, wavevectors, choices, said):
     medium = (
         dataclasses.replace(TRIANGULAR, **change) if change is not None else uniform_lattice((7, 5))
     )
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(pgran.InputError, match=said):
         pgran.structure(medium, wavevectors, **{"omegas": OMEGA} | choices)
 
 

@@ -28,7 +28,6 @@ import numpy as np
 from synthetic import BondSums, codas, gaussian_fields, mean_intensity
 
 import pgran
-from pgran.errors import InputError
 from pgran.experiments.ensemble import statistics as noise
 from pgran.experiments.ensemble.statistics import NoisyCurves
 from pgran.experiments.likeness.compare import MOVES
@@ -96,7 +95,7 @@ def curves(rng, repeats, samples, widths, incoherent=False):
         omega, A, _ = gaussian_fields(rng, samples, 5 * widths + 1, GAMMA, GAMMA / 5)
         made = NoisyCurves(omega, A, incoherent=incoherent)
         for name, (measure, _) in MEASURES.items():
-            with contextlib.suppress(InputError):
+            with contextlib.suppress(pgran.InputError):
                 found[name].append(measure(made))
     title = f"{samples} Gaussian fields, window of {widths} Gamma, coherent part off: {incoherent}"
     return judge(title, found, {name: truth for name, (_, truth) in MEASURES.items()})

@@ -27,9 +27,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pgran import load
+from pgran import PgranError, load
 from pgran.command.resolve import resolve
-from pgran.errors import PgranError
 from pgran.medium.bonds import bond_shape
 from pgran.medium.bonds_file import read_bonds
 from pgran.run.options import read_file
