@@ -8,15 +8,12 @@ docstrings begin with their captions.
 
 import contextlib
 import io
-import logging
 from pathlib import Path
 
 from pgran import catalogue
-from pgran.errors import FileError, needed
+from pgran.errors import FileError, log, needed
 from pgran.store.paths import whole
 from pgran.store.si import SI
-
-log = logging.getLogger("pgran")
 
 
 class Figures(dict):
