@@ -12,7 +12,7 @@ import functools
 import numpy
 import petsc4py
 
-from pgran.errors import PgranError, is_petsc, log
+from pgran.errors import PgranError, is_petsc
 from pgran.run import launch
 from pgran.run.agreement import end_together
 from pgran.store.estimate import counted
