@@ -63,7 +63,9 @@ def test_a_batch_job_goes_back_into_the_queue_and_goes_on(batch, tmp_path, asked
     assert not (tmp_path / result).exists()
 
     job = batch(PGRAN_LAUNCH="srun", **asked)
-    assert "going on from there" in ended(job)
+    said = ended(job)
+    assert "going on from there" in said
+    assert re.search("solved by .*iterations, since it went on\n", said)
     assert job.returncode == 0
     assert not journal.exists()
 

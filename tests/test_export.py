@@ -122,7 +122,7 @@ def test_matrices_have_the_modes_and_the_steady_states(world, tmp_path, name):
     assert found.field.ravel() == pytest.approx(exact, rel=1e-8)
     read = (unknowns["ball"] == ball) & (unknowns["component"] == name[0])
     assert exact[read] == pytest.approx(found.displacement[0], rel=1e-8)
-    with pytest.raises(PgranError, match="modes of this medium, and shapes=True"):
+    with pytest.raises(PgranError, match="modes of this medium, with shapes"):
         pgran.find_modes(net).displacements(net)
 
 
@@ -327,6 +327,8 @@ def test_refusals(tmp_path, monkeypatch):
         pgran.export(modes, tmp_path / "a.png")
     with pytest.raises(InputError, match=r"chosen for \.vtu, \.pvd, \.xyz, \.dump, not for \.csv"):
         pgran.export(modes, tmp_path / "a.csv", modes=[0])
+    with pytest.raises(InputError, match="modes: none is chosen"):
+        pgran.export(packing(), tmp_path / "a.xyz", modes=[])
     with pytest.raises(FileError, match=r"no table in this result .scene network"):
         pgran.export(net, tmp_path / "a.csv")
     with pytest.raises(FileError, match=r"a\.csv: cannot be written"):

@@ -181,8 +181,10 @@ def test_balls_in_order_are_no_row_numbers(call, place, here):
     where they do not touch.
     """
     row_of_balls(place, radius=np.full(8, 0.51))
-    assert "id1 = p, id2 = q, distance = r, force = s" in bring(call, "--law", "harmonic")
+    said = bring(call, "--law", "harmonic", "--direction", "0,2,0")
+    assert "id1 = p, id2 = q, distance = r, force = s" in said
     network = read_network("n.h5")
+    assert network.direction.tolist() == [0, 1]  # of a plane's, in space
     np.testing.assert_array_equal(network.bond, [[k, k + 1] for k in range(7)])
     np.testing.assert_allclose(network.stiffness, 1 + np.arange(1, 8) / 20)
 

@@ -144,9 +144,12 @@ def test_networks_of_balls(caplog):
     assert abs(K - 3 * pgran.matrices(p).K).max() <= 1e-9 * abs(K).max()
     row = {"position": [[0, 0], [0.9, 0], [1.8, 0]], "radius": 0.5, "held": [1, 0, 1]}
     assert (pgran.Network.of_balls(**row).bonds, len(caplog.messages)) == (2, 1)  # a rattler
+    pgran.Network.of_balls(p.position, 2 * p.radius, p.box)
+    assert "are the radii diameters?" in caplog.text
     for message, wrong in (
         ("no two balls overlap", {"radius": 0.45}), ("a positive stiffness", {"modulus": -1.0}),
-        ("must be positive", {"radius": [0.5, 0, 1]}), ("same place", {"position": [[1.0, 2]] * 3}),
+        ("positive radii", {"radius": [0.5, 0, 1]}), ("same place", {"position": [[1.0, 2]] * 3}),
+        ("balls need", {"position": np.empty((0, 2))}), ("1e100", {"position": [[1e200, 0]] * 3}),
     ):  # fmt: skip
         with pytest.raises(pgran.InputError, match=message):
             pgran.Network.of_balls(**row | wrong)

@@ -9,9 +9,11 @@ import pgran
 from pgran import errors
 from pgran.command import study
 from pgran.command.resolve import resolve
-from pgran.errors import FileError
+from pgran.command.table import in_words
+from pgran.errors import FileError, PgranError
 from pgran.run.options import read_words
 from pgran.store import file as store
+from pgran.store.record import Result
 
 WORDS = "a.opts", "b.opts", "-sweep_omega", ".4", "-lattice_damping"
 VALUES = ".01", ".1", "1e-3"
@@ -32,6 +34,8 @@ def test_a_study_is_its_single_runs(start, place, shared_path, call):
     (shared_path / f"{paths[2]}.unfinished").rmdir()
     for words, variables, said in (
         ("", {"ranks": 2}, "study: starts ranks itself"),
+        ("", {"PGRAN_LAUNCH": "nowhere -n 2"}, "PGRAN_LAUNCH: there is no nowhere"),
+        ("", {"PGRAN_LAUNCH": "'"}, "PGRAN_LAUNCH: No closing quotation"),
         ("x", {}, "-lattice_damping x: needs a number"),
         ("-bonds_seed 1 2", {}, "has several values; here: -lattice_damping, -bonds_seed"),
         ("", {"SLURM_ARRAY_TASK_ID": "4"}, "the parts are 1 to 3"),
@@ -66,9 +70,20 @@ def test_what_was_made_of_a_file_that_has_changed_since_is_refused(tmp_path):
     network, result = tmp_path / "a.h5", tmp_path / "b.h5"
     options = resolve(read_words(["-scene", "response", "-network_file", str(network)]))
     network.touch()
-    store.write(result, {"scene": "response", "status": "complete", "options": options.text()}, [])
+    facts = {"scene": "response", "status": "complete", "options": options.text()}
+    store.write(result, facts, [])
     assert study._code_of_result(result, options) == errors.DONE
     os.utime(network, (0, result.stat().st_mtime + 1))
     with pytest.raises(FileError, match=f"made with an older {network}, and now it is a newer"):
         study._code_of_result(result, options)
     assert study._code_of_result(result, options.changed(output_overwrite=True)) is None
+    os.utime(network, (0, 0))
+    store.write(result, {**facts, "pgran_version": "1.0"}, [])
+    with pytest.raises(FileError, match=r"made with pgran 1\.0, and now it is pgran"):
+        study._code_of_result(result, options)
+
+
+def test_a_table_tells_options_that_differ_in_their_digits_alone():
+    results = [Result([], scene="a", options=f"-steady_ksp_rtol {x}") for x in ("1e-3", ".001")]
+    told = in_words(pgran.table(results))
+    assert told.splitlines()[1].startswith("result steady_ksp_rtol")

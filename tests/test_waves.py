@@ -155,8 +155,9 @@ def test_wave_numbers_of_a_uniform_lattice_are_those_of_its_standing_waves(shape
     assert set(branch) == {"scalar"}
     (points, *_) = lines(draw(speeds, modes, record_of(lattice)), marker=".")
     assert points.get_ydata() == pytest.approx(modes.omega / k / lattice.omega_mx)
-    with pytest.raises(pgran.InputError, match="no shapes"):
-        pgran.find_modes(lattice).wave_numbers(lattice)
+    for wrong, medium in (pgran.find_modes(lattice), lattice), (modes, uniform_lattice((3, 3))):
+        with pytest.raises(pgran.InputError, match="modes of this medium, with shapes"):
+            wrong.wave_numbers(medium)
     free = dataclasses.replace(lattice, free=("x-", "x+", "y-", "y+")[: 2 * len(shape)])
     with pytest.raises(pgran.InputError, match="no periods and no walls"):
         modes.wave_numbers(free)

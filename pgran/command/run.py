@@ -170,6 +170,8 @@ def _compute(scene, options, words, world, started):
 
         records = run_scene(scene, options, world, crew)
         solvers = sys.modules["pgran.run.petsc"].work_done(world) if scene.on_medium else []
+        if not journal.is_new:
+            solvers = [f"{line}, since it went on" for line in solvers]
         facts = scene, options, words, world, records, solvers, started
         failures = on_root(world, lambda: _write(*facts))
         return errors.INACCURATE if failures else errors.DONE

@@ -5,6 +5,7 @@ Each is a `pgran run` by itself, as PETSc reads its keys once, when it starts.
 
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 from urllib.parse import quote
 
+import pgran
 from pgran import errors
 from pgran.command.export import result_of
 from pgran.command.resolve import resolve
@@ -22,6 +24,7 @@ from pgran.run.options import KEY, RUN, files_first, read_environment, read_file
 
 EXAMPLE = "pgran study options/damping.opts -lattice_damping .001 .003 .01"
 HOW = tuple(f"-{option.name}" for option in RUN)  # what decides no number
+PROGRAM = sys.executable, "-P", "-m", "pgran", "run"
 COMPUTED = errors.DONE, errors.INACCURATE
 
 
@@ -42,6 +45,12 @@ def run(words):
     if any(name in os.environ for name in launch.SIZES):
         raise InputError("study: starts ranks itself: PGRAN_LAUNCH='mpirun -n 2' pgran study ...")
     variables, part = dict(os.environ), os.environ.get("SLURM_ARRAY_TASK_ID")
+    try:
+        launcher = shlex.split(variables.get("PGRAN_LAUNCH", ""))
+    except ValueError as error:
+        raise InputError(f"study: PGRAN_LAUNCH: {error}") from None
+    if launcher and not shutil.which(launcher[0]):
+        raise InputError(f"study: PGRAN_LAUNCH: there is no {launcher[0]}")
     members = [(str(number), *member) for number, member in enumerate(_members(words), 1)]
     chosen = [member for member in members if part in (None, member[0])]
     if not chosen:
@@ -53,7 +62,7 @@ def run(words):
             log.info("%s: is there already", told)
             continue
         log.info("%s", told)
-        codes[path] = code = _carry_out(own, variables)
+        codes[path] = code = _carry_out([*launcher, *PROGRAM, *own], variables)
         if code in (errors.STOPPED, errors.INTERRUPTED):
             log.info("%s: stopped; the same command goes on", told)
             return code
@@ -106,6 +115,8 @@ def _code_of_result(path, options):
     for word in shlex.split(" ".join(now).replace(",", " ")):
         if os.path.isfile(word) and os.path.getmtime(word) > os.path.getmtime(path):
             was, now = was | {f"an older {word}"}, now | {f"a newer {word}"}
+    version = getattr(result, "pgran_version", pgran.__version__)
+    was, now = was | {f"pgran {version}"}, now | {f"pgran {pgran.__version__}"}
     if was == now:
         return errors.INACCURATE if result.status == "unconverged" else errors.DONE
     if options.output_overwrite:
@@ -117,7 +128,7 @@ def _code_of_result(path, options):
     raise FileError(f"{path}: {why}; -output_overwrite replaces it, -output_file takes another")
 
 
-def _carry_out(words, variables):
+def _carry_out(program, variables):
     """Carry out a run, which gets the signals of this process, and return its exit code."""
     noted, child = [], None
 
@@ -127,8 +138,6 @@ def _carry_out(words, variables):
             child.send_signal(signal.SIGUSR1)  # after SIGTERM mpirun leaves its ranks a second
 
     before = [(number, signal.signal(number, note)) for number in launch.HELD]
-    launcher = shlex.split(variables.get("PGRAN_LAUNCH", ""))
-    program = [*launcher, sys.executable, "-P", "-m", "pgran", "run", *words]
     child = subprocess.Popen(program, env=variables)
     code = child.wait()
     for number, handler in before:

@@ -13,6 +13,7 @@ from pgran.command.words import Parser
 from pgran.errors import DONE, InputError, needed
 from pgran.medium.differences import differences
 from pgran.store.paths import whole
+from pgran.store.record import Shown
 from pgran.store.text import numbers_of
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ def table(results: list) -> "pandas.DataFrame":
     [80, 80]
     """
     pandas = needed("a table", "pandas")
+    results = [results] if isinstance(results, (str, os.PathLike, Shown)) else results
     read = list(map(result_of, results))
     rows = differences(read)
     options = list(dict.fromkeys(key for row in rows for key in row))
@@ -75,6 +77,7 @@ def in_words(frame, everything=False):
     shown = frame.nunique(dropna=False) > 1
     shown |= everything or not shown.any()
     shown["failures"] |= frame["failures"].any()
+    shown[options] = True  # those that differ as texts alone, too
     told = frame.loc[:, shown]
     if 0 < len(options) <= WIDEST:
         told = told.set_index(options, append=told.duplicated(options).any())

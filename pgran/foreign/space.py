@@ -30,6 +30,8 @@ def write(result, output, modes):
     if not stored and result.scene in ("modes", "response", "pulse"):
         log.warning("no displacements in this result: -output_fields stores them")
     chosen = stored if modes is None else numbers("modes", modes, whole=True).ravel().tolist()
+    if modes is not None and not chosen:
+        raise InputError("modes: none is chosen")
     for n in {*chosen} - {*stored}:
         raise InputError(f"modes: {n} is none of the {len(stored)} that are stored, from 0 on")
     writer = _write_meshes if output.suffix.lower() in (".vtu", ".pvd") else _write_frames

@@ -171,6 +171,8 @@ def unit_vector(name, direction, axes, others=""):
         components = [float(direction == axis) for axis in AXES[:axes]]
         with contextlib.suppress(ValueError):
             components = [float(word) for word in direction.split(",")]
+        if not any(components[axes:]):  # of a plane packing that its file has in space
+            components = components[:axes]
     else:
         components = numbers(name, direction)
     size = np.linalg.norm(components)

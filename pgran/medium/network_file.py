@@ -227,8 +227,8 @@ def save(thing: Shown, path: str | os.PathLike, overwrite: bool = False) -> None
     """Write what `load` reads again, bit for bit; `response.save("a.h5")` does the same.
 
     A record that a function returned becomes a result with its medium, as of `pgran run`. Lattices
-    and networks are loaded as such. `overwrite`: a result or a network that is there is replaced;
-    what else is there never is, by a FileError. Collective: all ranks call it, rank 0 writes.
+    and networks are loaded as such. `overwrite`: a result replaces a result, a network a network;
+    what else is there stays, by a FileError. Collective: all ranks call it, rank 0 writes.
 
     Examples
     --------

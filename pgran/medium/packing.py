@@ -1,5 +1,6 @@
 """Packings: laws of contacts, periodic boxes, parts that can vibrate, balance of forces."""
 
+import logging
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +13,10 @@ from pgran.medium.graph import anchored
 from pgran.medium.springs import FREE
 from pgran.run.numbers import number
 
+log = logging.getLogger("pgran")
+
+SMALLEST, LARGEST = 1e-100, 1e100  # of lengths whose squares can be told apart
+DEEP = 0.4  # of two radii together: an overlap that no packing has
 POWERS = {"harmonic": 1.0, "hertz": 1.5}  # of the overlap: F = c h^power, k = power F / h
 
 
@@ -96,8 +101,9 @@ def touching(position, radius, box, law):
     radius = radius if np.ndim(radius) else np.full(count, radius)
     radius = checked_array("radius", radius, float, [count])
     box = checked_array("box", np.zeros(axes) if box is None else box, float, [axes])
-    if not np.all(radius > 0):
-        raise InputError("network: radius: must be positive")
+    sizes = np.concatenate([radius, np.abs(position).ravel()])
+    if not (count and radius.min() > SMALLEST and sizes.max() < LARGEST):
+        raise InputError("network: balls need positive radii, and lengths of 1e-100 to 1e100")
     pairs, away, distance = near_pairs(position, radius, np.where(box > 0, box, np.inf), 0.0)
     if not len(pairs):
         raise InputError(
@@ -106,7 +112,10 @@ def touching(position, radius, box, law):
         )
     if not np.all(distance):
         raise InputError(f"balls {pairs[distance.argmin()].tolist()} (rows) are at the same place")
-    overlap = radius[pairs].sum(axis=1) - distance
+    together = radius[pairs].sum(axis=1)
+    overlap = together - distance
+    if np.max(overlap / together) > DEEP:
+        log.warning("balls overlap nearly to their centres: are the radii diameters?")
     balls = {"position": position, "radius": radius, "box": box, "held": np.zeros(count, int)}
     return balls | law.fields(pairs, away, overlap, law.constants(*radius[pairs].T))
 

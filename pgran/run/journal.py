@@ -46,6 +46,7 @@ class Journal(contextlib.AbstractContextManager):
         self._dry = dry
         self.comm, self.path = comm, Path(f"{path}.unfinished")
         self._file, self._kept, self._synced, self._signal = None, {}, time.monotonic(), None
+        self.is_new = True
         try:
             on_root(comm, lambda: self._open(identity, overwrite))
         except PgranError:
@@ -68,7 +69,7 @@ class Journal(contextlib.AbstractContextManager):
                 with self._file:
                     if self._dry:
                         return
-                    if kind is None or not self._kept or (self._new and is_bad_input(error)):
+                    if kind is None or not self._kept or (self.is_new and is_bad_input(error)):
                         self.path.unlink(missing_ok=True)
             except OSError as trouble:  # no reason to fail: the result is there, or another error
                 log.warning("%s: cannot be removed: %s", self.path, trouble.strerror)
@@ -123,8 +124,8 @@ class Journal(contextlib.AbstractContextManager):
             return
         self._file = self._locked()
         earlier = self._scan()
-        self._new = earlier != identity
-        if not self._new:
+        self.is_new = earlier != identity
+        if not self.is_new:
             log.info("%s: going on from there, %d units are finished", self.path, len(self._kept))
             return
         if self._kept:

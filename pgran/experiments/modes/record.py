@@ -100,11 +100,16 @@ class Counted:
         """
         from pgran.medium.space import everywhere
 
-        medium, vector = medium_of(medium), getattr(self, "vector", None)
-        if np.shape(vector)[1:] != medium.shape:
-            raise InputError("displacements: needs modes of this medium, and shapes=True")
-        moved = medium.displacements(vector)
+        medium = self._shaped_by(medium)
+        moved = medium.displacements(self.vector)
         return moved if medium.is_grid else everywhere(medium, moved)
+
+    def _shaped_by(self, medium):
+        """Return a medium that modes with shapes are of; raise InputError where they are not."""
+        medium = medium_of(medium)
+        if np.shape(getattr(self, "vector", None))[1:] != medium.shape:
+            raise InputError("needs modes of this medium, with shapes: -output_fields, shapes=True")
+        return medium
 
     @property
     def count_found(self):
@@ -189,10 +194,7 @@ class Modes(Counted, Record):
         """
         from pgran.medium.waves import Waves
 
-        if self.vector is None:
-            raise InputError("wave numbers: no shapes of the modes; -output_fields, shapes=True")
-        medium = getattr(medium, "built", medium)
-        return Waves(medium).strongest(self.vector.reshape(len(self.omega), -1))
+        return Waves(self._shaped_by(medium)).strongest(self.vector.reshape(len(self.omega), -1))
 
     def moving(self, lattice):
         """Return these modes without those at rest, of the `lattice` or of a network itself."""
