@@ -189,6 +189,7 @@ def test_ovito_reads_chosen_modes(tmp_path, displacement):
     moves = {".xyz": ["Displacement", "rotation"], ".dump": ["Velocity", "Angular Velocity"]}
     for ending, (move, turn) in moves.items():
         path, *others = pgran.export(result, tmp_path / f"a{ending}", modes=[3, 0])
+        assert not (tmp_path / "a.data").exists()  # the user's own
         frames = ovito.import_file(path)
         assert frames.num_frames == 2
         for n, mode in enumerate([3, 0]):

@@ -27,10 +27,9 @@ def export(
     """Write a result for other programs: `export("modes.h5", "modes.vtu")`.
 
     The ending of its name says what is written: balls, contacts, mode shapes and stored fields for
-    ParaView, `.vtu`, or a series of these, `.pvd`; for OVITO, a frame each, `.xyz`, or `.dump` with
-    contacts in `.data` beside it; tables, `.csv`; what `pgran.matrices` returns, `.npz`; for LAMMPS
-    a packing that knows its contact law, `.lmp`, and a script. `pgran manual experiments` says what
-    they hold.
+    ParaView, `.vtu`, or a series of these, `.pvd`; for OVITO, a frame each, `.xyz`, or `.dump`;
+    tables, `.csv`; what `pgran.matrices` returns, `.npz`; for LAMMPS a packing that knows its
+    contact law, `.lmp`, and a script. `pgran manual experiments` says what they hold.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ def _write_frames(result, output, moved):
             stream.write(_frame(network, n, fact, moves, dump).encode())
     if not dump or network.radius is None:
         return [output]
-    bonds = output.with_suffix(".data")
+    bonds = output.with_name(f"{output.stem}-bonds.data")  # NAME.data may be the user's own
     with whole(bonds) as stream:
         stream.write(data_file(network.built, bonds=True).encode())
     return [output, bonds]
