@@ -60,8 +60,10 @@ def test_media_and_what_is_changed_by_hand(shared_path):
             use()
     changed.computed_on(LATTICE).save(path)
     assert pgran.load(path).medium.built == LATTICE
-    with pytest.raises(pgran.InputError, match=r"/response/field: shape .* is not .*x: 6, y: 5"):
-        dataclasses.replace(changed, field=np.ones((2, 2))).computed_on(LATTICE).save(path, True)
+    with pytest.raises(pgran.InputError, match=r"field: shape .* is not .*x: 6, y: 5"):
+        dataclasses.replace(changed, field=np.ones((2, 2))).computed_on(LATTICE)
+    with pytest.raises(pgran.InputError, match="a medium or a record is needed, not"):
+        changed.computed_on((6, 5))
     for number, medium in enumerate((LATTICE, PACKING)):
         medium.save(shared_path / f"{number}.h5")
         assert pgran.load(shared_path / f"{number}.h5") == medium

@@ -25,7 +25,7 @@ from pgran.medium.checks import KINDS
 from pgran.medium.springs import FREE
 from pgran.store import file as store
 from pgran.store.paths import check_seal, has_seal, open_regular, whole, writing
-from pgran.store.record import MisfitError, Result, Shown
+from pgran.store.record import Result, Shown
 
 FORMAT, FORMAT_VERSION = "pgran network", 1
 # Of each dataset: its type, units, and what it is.
@@ -254,13 +254,7 @@ def _write(thing, path, overwrite):
     if not getattr(thing, "is_grid", True):
         return write_network(path, *parts_of(thing), overwrite)
     result = thing.as_result()
-    medium, *others = result.records.values()
-    try:
-        for record in others:
-            record.check(medium.axes)
-    except MisfitError as error:  # of what was changed by hand
-        raise InputError(f"save: /{record.group}/{error}") from None
-    store.write(path, result.attributes, [medium, *others], overwrite)
+    store.write(path, result.attributes, [*result.records.values()], overwrite)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
+from pgran.errors import InputError
 from pgran.medium.base import AXES
-from pgran.store.record import MisfitError, Record, array, attribute
+from pgran.store.record import Record, array, attribute
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,7 +48,7 @@ class LatticeRecord(Record):
         there = [k is not None for k in (self.stiffness_x, self.stiffness_y, self.stiffness_z)]
         axes = len(self.shape)
         if there != [True] * axes + [False] * (3 - axes) or min(self.shape) < 1:
-            raise MisfitError(f"shape: {self.shape} does not fit {sum(there)} arrays stiffness_*")
+            raise InputError(f"shape: {self.shape} does not fit {sum(there)} arrays stiffness_*")
 
     @property
     def stiffness(self):

@@ -24,9 +24,9 @@ import h5py
 import numpy as np
 
 from pgran.catalogue import groups_of, record_kind
-from pgran.errors import BAD_FILE, DONE, FileError, reason_of
+from pgran.errors import BAD_FILE, DONE, FileError, InputError, reason_of
 from pgran.store.paths import AT_END, has_seal, open_regular, seal_of, try_beside, whole, writing
-from pgran.store.record import KINDS, MisfitError, Result, axes_of, plain_value
+from pgran.store.record import KINDS, Result, axes_of, plain_value
 
 FORMAT, FORMAT_VERSION = "pgran", 5
 CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
@@ -201,7 +201,7 @@ def _read_record(file, group, kind, facts, axes):
                 file.refuse(f"{group}/{name}", "is missing")
         record = kind(**values)
         record.check(axes or record.axes)
-    except MisfitError as error:
+    except InputError as error:
         raise FileError(f"{file.path}: /{group}/{error}") from None
     return record
 

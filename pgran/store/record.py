@@ -113,7 +113,7 @@ def axes_of(item, value, dimensions=None):
 
 
 def plain_value(item, value):
-    """Return an attribute of a file as its field's type, or raise a MisfitError."""
+    """Return an attribute of a file as its field's type, or raise an InputError."""
     declared = item.type
     if isinstance(declared, UnionType):  # or None
         declared = get_args(declared)[0]
@@ -123,15 +123,11 @@ def plain_value(item, value):
     found = np.asarray(value)
     if found.ndim != many or found.dtype.kind not in kinds:
         wanted = f"a list of {called}s" if many else f"a single {called}"
-        raise MisfitError(f"{item.name}: {reprlib.repr(value)} is not {wanted}")
+        raise InputError(f"{item.name}: {reprlib.repr(value)} is not {wanted}")
     found = found.astype(dtype)
     if declared is np.ndarray:
         return found
     return tuple(found.tolist()) if many else found.item()
-
-
-class MisfitError(ValueError):
-    """What a record was given does not fit its declaration."""
 
 
 class Shown:
@@ -179,7 +175,7 @@ class Record(Shown):
                 yield item, value
 
     def check(self, axes):
-        """Raise a MisfitError unless every array has its declared axes, each as long everywhere.
+        """Raise an InputError unless every array has its declared axes, each as long everywhere.
 
         `axes` are the lengths of the medium's axes by name. Parts are checked by themselves.
         """
@@ -191,7 +187,7 @@ class Record(Shown):
             shape = tuple(map(lengths.setdefault, names, value.shape))
             if value.ndim != len(names) or value.shape != shape:
                 declared = ", ".join(f"{n}: {lengths.get(n, 'any')}" for n in names)
-                raise MisfitError(f"{item.name}: shape {value.shape} is not ({declared})")
+                raise InputError(f"{item.name}: shape {value.shape} is not ({declared})")
 
     def to_xarray(self):
         """Return the record as an xarray.Dataset: coordinates, units and long names.
@@ -230,7 +226,11 @@ class Record(Shown):
 
     def computed_on(self, other, **attributes):
         """Return the record, told of the medium, or record, that it was computed on."""
-        vars(self)["origin"] = (*other.as_result().records.values(),), attributes
+        if not isinstance(other, Shown):
+            raise InputError(f"computed_on: a medium or a record is needed, not {other!r:.60}")
+        before = (*other.as_result().records.values(),)
+        self.check((*before, self)[0].axes)
+        vars(self)["origin"] = before, attributes
         return self
 
     def __repr__(self):
