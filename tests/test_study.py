@@ -10,7 +10,7 @@ from pgran import errors
 from pgran.command import study
 from pgran.command.resolve import resolve
 from pgran.command.table import in_words
-from pgran.errors import FileError, PgranError
+from pgran.errors import FileError
 from pgran.run.options import read_words
 from pgran.store import file as store
 from pgran.store.record import Result

@@ -40,13 +40,12 @@ class Journal(contextlib.AbstractContextManager):
     `dry` run meets and says the same, and changes nothing.
     """
 
-    medium = ""  # checksum of what is computed on: units of another medium are none of this run
+    medium, is_new = "", True  # checksum of the medium: units of another are none of this run
 
     def __init__(self, comm, path, identity, overwrite=False, dry=False):
         self._dry = dry
         self.comm, self.path = comm, Path(f"{path}.unfinished")
         self._file, self._kept, self._synced, self._signal = None, {}, time.monotonic(), None
-        self.is_new = True
         try:
             on_root(comm, lambda: self._open(identity, overwrite))
         except PgranError:
