@@ -18,7 +18,7 @@ SMALL = "-lattice_shape 6,5 -detectors 3,2"
 SWEEP = f"{SMALL} -sweep_points 5"
 # Of what a run is, the modules that it may load, and their lines.
 PATHS = {
-    "-scene continuum -sweep_points 5": (31, 4280),
+    "-scene continuum -sweep_points 5": (31, 4300),
     f"-scene response {SWEEP}": (52, 9320),
     f"-scene pulse {SMALL}": (53, 9370),
     f"-scene relaxation {SMALL} -relax_steps 40": (53, 9300),
