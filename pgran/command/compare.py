@@ -8,6 +8,7 @@ import numpy as np
 
 import pgran
 from pgran.command.export import blaming_edits
+from pgran.command.plot import plot
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE, InputError, log
 from pgran.run.options import REALS, Option
@@ -51,15 +52,14 @@ def run(words):
             raise InputError(f"-o {output}: this result is compared; give another name")
         store.check_output(output, options.output_overwrite)
     found = pgran.compare(options.a, options.b, options.windows, options.stretch)
-    told = {"status": "complete", "pgran_version": pgran.__version__}
+    told = {"scene": found.group, "status": "complete", "pgran_version": pgran.__version__}
     told["command"] = shlex.join(["pgran", "compare", *words])
     first, other = (pgran.load(path).attributes for path in (options.a, options.b))
     told |= {x: first[x] for x in UNITS if x in first and first[x] == other.get(x)}
-    found.computed_on(Result(()), **told)
     if stored:
-        found.save(output, options.output_overwrite)
+        store.write(output, told, [found], options.output_overwrite)
     else:
-        found.plot(output)
+        plot(Result([found], **told), output)
         output = Path(output).with_stem(f"{Path(output).stem}-{found.group}")
     print("\n".join(table(found)))
     log.info("written to %s", output)
