@@ -108,7 +108,8 @@ def test_balls_are_circles_and_those_that_are_held_or_heard_are_marked():
     for held in (0, 1, 2):
         assert np.all(faces[net.held == held] == FACES[held])
     names = [f"ball {ball}" for ball in net.free[:2]]
-    assert {"at rest", "driven", *names} <= set(legend(figure))
+    beyond = figure.caption.partition("Not in the legend: ")[2].rstrip(".").split(", ")
+    assert {"at rest", "driven", *names} <= {*legend(figure), *beyond}
     for ball, name in zip(net.free, names, strict=False):
         (dot,) = lines(ax, label=name)
         assert (*dot.get_xdata(), *dot.get_ydata()) == pytest.approx(net.position[ball])
