@@ -6,13 +6,13 @@ import pytest
 
 HOUSE = Path(__file__).parents[1]
 BUDGETS = {  # lines of Python, docstrings and blank ones too
-    "pgran": 32360,
+    "pgran": 32410,
     "pgran/*.py": 650,
     "pgran/run": 2200,
     "pgran/command": 2640,
     "pgran/store": 1310,
-    "pgran/medium": 4570,
-    "pgran/driven": 2820,
+    "pgran/medium": 4580,
+    "pgran/driven": 2840,
     "pgran/balance": 1190,
     "pgran/foreign": 1100,
     "pgran/draw": 1530,
@@ -27,7 +27,7 @@ BUDGETS = {  # lines of Python, docstrings and blank ones too
     "pgran/experiments/response": 1700,
     "pgran/experiments/sensitivity": 2240,
     "pgran/experiments/structure": 480,
-    "tests": 24860,
+    "tests": 24890,
 }
 
 

@@ -7,10 +7,10 @@ import mpmath
 import numpy as np
 import pytest
 from mpmath import mp, mpf
-from network_samples import NetworkReference
+from network_samples import NetworkReference, exact_network_force
 from samples import steady
 
-from pgran import InputError, Network, find_modes, pulse
+from pgran import InputError, Network, find_modes, pulse, sweep
 from pgran.command.resolve import SCENES
 from pgran.driven.counting import smallest_damping
 from pgran.driven.operators import Operators
@@ -211,6 +211,28 @@ def test_errors_along_a_diagonal_do_not_cancel():
                 strict=True,
             ):
                 assert abs(mpmath.mpmathify(complex(found)) - exact) <= bound
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_contact_nearly_across_the_drive(seed):
+    """How far it is stretched cancels to a few digits, and what these miss is in the bounds."""
+    rng = np.random.default_rng(seed)
+    along, across = np.linalg.qr(rng.standard_normal((3, 2)))[0].T
+    normal = across + 10 ** -rng.uniform(3, 9) * along
+    network = Network(
+        [[0, 1]], [1.0], [2, 0], [2.0, 2.0], 0.0, displacement="vector", direction=along,
+        normal=[normal / np.linalg.norm(normal)]
+    )  # fmt: skip
+    with mp.workdps(50):
+        reference = NetworkReference(network)
+        response = sweep(network, [0.5, 4000.0], [1])
+        for n, omega in enumerate(response.omega):
+            (exact,) = reference.amplitudes(1j * omega, [1])
+            found = mpmath.mpmathify(complex(response.displacement[n, 0]))
+            assert abs(found - exact) <= response.error_bound[n, 0]
+            force = mpmath.mpmathify(complex(response.force[n]))
+            exact = exact_network_force(network, 1j * omega)
+            assert abs(force - exact) <= response.force_bound[n]
 
 
 @pytest.mark.parametrize("damping", [0.01, 0.0])

@@ -178,14 +178,24 @@ class Operators(Owner):
         Collective when first asked for; they say what rounding does to what is no Laplacian.
         """
         matrices = []
-        parts = (self.constants, self._push), (self.lattice.dashpots, 0.0)
-        for constants, push in parts[: 1 + (self.C is not None)]:
+        for constants, size in zip(self._parts, self.drive_sizes(), strict=True):
             drive = self.f_stiffness.duplicate()
-            drive.setArray(self.layout.wall_force(constants, abs) + abs(push))
+            drive.setArray(size)
             matrices += [self._assemble(constants, abs), drive]
         if self.C is not None:
             self._drag(matrices[2])
         return matrices
+
+    @property
+    def _parts(self):
+        """The constants of springs in K, and of dashpots in C, if any."""
+        return (self.constants, self.lattice.dashpots)[: 1 + (self.C is not None)]
+
+    def drive_sizes(self):
+        """Return this rank's f_stiffness and f_damping, of magnitudes as `sizes` are."""
+        sizes = [self.layout.wall_force(constants, abs) for constants in self._parts]
+        sizes[0] += abs(self._push)
+        return sizes
 
     @cached_property
     def stiffness_norm(self):
@@ -316,8 +326,9 @@ class Layout(Owner):
 
         `size` is applied to each spring's part before these are summed up, here and in `csr`.
         """
-        springs = np.flatnonzero(self.drive)
-        pull = -constants[springs] * self.drive[springs]
+        drive = self.drive if size is unchanged else self.drive_sizes
+        springs = np.flatnonzero(drive)
+        pull = -constants[springs] * drive[springs]
         total = np.zeros(self.last - self.first)
         for entries, rows, mine in self.own_entries(springs):
             forces = size(entries * pull[mine])
@@ -350,7 +361,7 @@ class LatticeLayout(Layout):
             numbers = self.da.getAO().app2petsc(natural.ravel())
         super().__init__(lattice, comm, self.da.createGlobalVec(), numbers)
         self.ends, self.entries = bond_ends(self.numbers), SIGNS[None]
-        self.drive = lattice.drive
+        self.drive = self.drive_sizes = lattice.drive
         # The place 2 b + side in `ends` is that of an end of bond b; its other end is at place ^ 1.
         # So each of this rank's balls has 2 d bonds, and in its row of a matrix 2 d + 1 columns:
         # itself and the others, -1 for a wall, which PETSc ignores.
@@ -394,7 +405,8 @@ class NetworkLayout(Layout):
         super().__init__(network, comm, like, in_order(order))
         springs, none = network.springs, np.array(-1, PETSc.IntType)
         self.ends, self.entries = np.append(self.numbers, none)[springs.columns], springs.values
-        self.drive, self.laplacian = springs.drive, network.components == 1
+        self.drive, self.drive_sizes = springs.drive, springs.drive_sizes
+        self.laplacian = network.components == 1
         self._contribute()
 
     def _contribute(self):

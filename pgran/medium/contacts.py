@@ -46,8 +46,8 @@ def springs_of(network):
     shares = np.concatenate([np.broadcast_to(block.share, len(i)) for block in blocks])
     angles = np.zeros(len(i)) if network.loss is None else network.loss
 
-    def stretched(*moving):
-        return np.einsum("sw,sw->s", values, np.tile(np.concatenate(moving, axis=1), each))
+    def stretched(*moving, rows=values):
+        return np.einsum("sw,sw->s", rows, np.tile(np.concatenate(moving, axis=1), each))
 
     return Springs(
         network.size,
@@ -55,6 +55,7 @@ def springs_of(network):
         np.tile(columns, each),
         values * np.tile(weights, each),
         stretched(first, second),
+        stretched(abs(first), abs(second), rows=abs(values)),
         stretched(-first, second),
         np.concatenate([block.constants for block in blocks]),
         elastic,

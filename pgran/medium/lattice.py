@@ -291,8 +291,8 @@ class Lattice(Elastic):
         ends[self.exists == 0] = -1
         constants = self.constants
         return Springs(
-            self.size, ("normal",), ends, SIGNS[None], self.drive, self.drive, constants,
-            constants, self.exists, self.damped_springs, np.full(self.bonds, self.loss),
+            self.size, ("normal",), ends, SIGNS[None], self.drive, self.drive, self.drive,
+            constants, constants, self.exists, self.damped_springs, np.full(self.bonds, self.loss),
         )  # fmt: skip
 
     @property

@@ -33,9 +33,11 @@ class Springs:
     columns: np.ndarray
     values: np.ndarray
     # Shapes (springs,). How far each is lengthened by the driven balls' motion of size 1, as by B,
-    # and as by `D`; its constant k, and that without pre-stress, which grows with the contact's
-    # stiffness; its part of beta, before the law that depends on stiffness and by it; eta.
+    # with magnitudes of what may cancel, and as by `D`; its constant k, and that without
+    # pre-stress, which grows with the contact's stiffness; its part of beta, before the law that
+    # depends on stiffness and by it; eta.
     drive: np.ndarray
+    drive_sizes: np.ndarray
     drive_apart: np.ndarray
     constants: np.ndarray
     elastic: np.ndarray
@@ -185,9 +187,12 @@ class Elastic(Damped):
 
     def pull_rounding(self, size):
         """Return how much rounding changes `pull(s)`, at most, for an |s|."""
-        driven = np.flatnonzero(self.drive)
-        magnitudes = np.sum(np.abs(self.moduli[driven]) * self.drive[driven] ** 2)
-        return (len(driven) + 8) * EPSILON * (magnitudes + size * self.pulls[1])
+        sizes = self.springs.drive_sizes
+        driven = np.flatnonzero(sizes)
+        squares = sizes[driven] ** 2
+        stiff = np.sum(np.abs(self.moduli[driven]) * squares)
+        damped = self.damping * np.sum(self.damped_springs[driven] * squares)
+        return (len(driven) + 8) * EPSILON * (stiff + size * damped)
 
     @cached_property
     def relaxation_rate(self):

@@ -74,14 +74,15 @@ class IntervalModels(Owner):
         operators, rounding = self.operators, self.operators.rounding
         # a path through the sums of `products`, over the ranks, and of the small algebra
         terms = 2 * SUM_ROWS + operators.size / SUM_ROWS + 2 * self.comm.size + 3 * self.width + 16
-        drive, damped = 1.01 * np.sqrt(self._total(squares(self._loads[0])))
+        loads = np.stack(operators.drive_sizes(), axis=1)
+        drive, *damped = 1.01 * np.sqrt(self._total(squares(loads)))
         return ModelLimits(
             stability=operators.damping * smallest_damping(operators.lattice),
             stiffness=1.01 * operators.stiffness_norm,
             damping=1.01 * operators.damping * operators.lattice.damping_norm,
             mass=1.01 * operators.mass,
             drive=drive,
-            drive_damping=damped,
+            drive_damping=operators.damping * sum(damped),
             rounding=rounding + 4 * qr_rounding(2 + 2 * self.width),
             sum_rounding=2 * rounding + 4 * EPSILON * terms,
             receiver=float(operators.lattice.reading_norms(sites).max()),
