@@ -24,13 +24,16 @@ from peers import Peer  # noqa: E402
 import pgran  # noqa: E402
 from pgran.__main__ import console  # noqa: E402
 from pgran.driven.linear import make_ksp  # noqa: E402
+from pgran.driven.moments import Chebyshev  # noqa: E402
 from pgran.driven.operators import Operators  # noqa: E402
+from pgran.driven.recurrence import Rows  # noqa: E402
 from pgran.driven.steady import SteadySolver  # noqa: E402
 from pgran.errors import InputError  # noqa: E402
 from pgran.medium.crystals import random_geometric  # noqa: E402
 from pgran.medium.graph import subnetwork  # noqa: E402
 from pgran.medium.law import draw_changes  # noqa: E402
 from pgran.medium.network_file import read_network  # noqa: E402
+from pgran.medium.waves import Waves  # noqa: E402
 from pgran.run.crew import Crew  # noqa: E402
 
 WORLD, ALONE = MPI.COMM_WORLD, MPI.COMM_SELF
@@ -113,6 +116,17 @@ def of_damped_modes(peer, own):
     if len(peer) > len(own.eigenvalue):
         return max(np.min(np.abs(peer - s)) / abs(s) for s in own.eigenvalue)
     return max(np.min(np.abs(own.eigenvalue - s)) / abs(s) for s in peer[: len(peer) // 2])
+
+
+def of_waves(factored, own):
+    """Return the same of structure factors at the frequencies that both have."""
+    _, first, second = np.intersect1d(factored.omega, own.omega, return_indices=True)
+    return apart(factored.structure_factor[first], own.structure_factor[second])
+
+
+def of_largest(reference, found):
+    """Return the largest difference relative to the largest number."""
+    return np.max(np.abs(found - reference)) / np.max(np.abs(reference))
 
 
 def sweep(side, low, high, count):
@@ -263,8 +277,100 @@ def network_modes(balls, axes, displacement, count=20):
     )
 
 
+def bulk(balls, axes, displacement, damping=0.0):
+    """Return a lattice of about so many balls, or a network of the bulk where there are vectors."""
+    if displacement == "scalar":
+        return pgran.Lattice.random((round(balls ** (1 / axes)),) * axes, damping=damping)
+    chosen = {"displacement": displacement, "damping": damping}
+    periodic = [False, *[True] * (axes - 1)]
+    return random_geometric(balls, axes, 4.0 + 2 * axes, periodic=periodic, **chosen)
+
+
+def waves(medium, count=120):
+    """Return frequencies up to near the last modes, and what else `structure` is told."""
+    omegas = medium.omega_mx * (1.2 if medium.is_grid else 2.0) * np.arange(1, count + 1) / count
+    return omegas, {"direction": "x", "width": 2 * omegas[0]}
+
+
+def structure(balls, axes, displacement, timed, damping=0.0, repeats=3):
+    """Compare structure factors by moments with pgran's own factorizations, of some `timed`."""
+    medium = bulk(balls, axes, displacement, damping)
+    omegas, chosen = waves(medium)
+    some = omegas[len(omegas) // (2 * timed) :: len(omegas) // timed]
+    return Pair(
+        partial(by_pgran(pgran.structure, medium, 2, some, method="factor", **chosen), ALONE),
+        by_pgran(pgran.structure, medium, 2, omegas, method="moments", **chosen),
+        of_waves,
+        (len(some) / len(omegas), 1),
+        repeats=repeats,
+    )
+
+
+def highest(medium):
+    """Return what pgran encloses the eigenvalues of K by."""
+    scaled, unit = medium.undamped().in_own_unit()
+    with Rows(scaled, ALONE) as rows:
+        return 4 * unit / Chebyshev(rows, scaled, (0.0, 0.0, 0.0), ()).a
+
+
+def kernels(balls, axes, displacement):
+    """Compare the same with a peer's kernel polynomials, as many, who knows where K ends."""
+    medium = bulk(balls, axes, displacement)
+    (omegas, chosen), standing, top = waves(medium), Waves(medium), highest(medium)
+    own = by_pgran(pgran.structure, medium, 2, omegas, method="moments", **chosen)
+    (patterns, places), count = standing.patterns(standing.first(2, "x")), own(ALONE).moments
+
+    def peer():
+        found = Peer(medium).spectra(patterns, chosen["width"] + 1j * omegas, count, top)
+        return np.array([np.bincount(places, each) for each in found.T])
+
+    return Pair(peer, own, lambda p, o: apart(p, o.structure_factor.reshape(p.shape)))
+
+
+def density(balls, axes, vectors, bins=60):
+    """Compare a density of modes with a peer's kernel polynomials of the same random vectors."""
+    medium = bulk(balls, axes, "scalar")
+    omegas, top = medium.omega_mx * np.linspace(0, 1.4, bins + 1), highest(medium)
+    count = 8 * bins
+    chosen = {"method": "moments", "vectors": vectors, "moments": count}
+    unit = medium.omega_mx / medium.free_balls
+    return Pair(
+        lambda: unit * Peer(medium).density(omegas, vectors, count, top),
+        by_pgran(pgran.count_modes, medium, omegas, group=None, **chosen),
+        lambda p, o: of_largest(p, o.density),
+        repeats=3,
+    )
+
+
+def pulses(side, time):
+    """Compare a pulse by moments with pgran's own by Laplace transforms."""
+    site = side - min(12, side // 2), side // 2
+    own = partial(by_pgran, pgran.pulse, lattice_of(side)[0], site, time=time)
+    return Pair(
+        partial(own(method="laplace"), ALONE),
+        own(method="moments", group=None),
+        lambda p, o: of_largest(p.displacement, o.displacement),
+        repeats=1,
+    )
+
+
+def wall(balls, axes, damping, low, high, count, timed):
+    """Compare all frequencies of a driven wall by moments with some by factorizations."""
+    lattice = bulk(balls, axes, "scalar", damping)
+    site = lattice.shape[0] - 3, *[n // 2 for n in lattice.shape[1:]]
+    omegas = np.linspace(low, high, count)
+    some = omegas[:: (count - 1) // (timed - 1)]
+    return Pair(
+        partial(by_pgran(pgran.sweep, lattice, some, site, method="points"), ALONE),
+        by_pgran(pgran.sweep, lattice, omegas, site, method="moments"),
+        of_curves,
+        repeats=1,
+    )
+
+
 PAPER = 0.01, 1.3, 1291
 VECTORS = 10_000, 3, "vector"
+FACTORED = "(peer: pgran by factors)"
 ONE_BY_ONE = "(peer: pgran, one by one)"
 ROWS = {  # named as in README.md
     "20 x 20, the paper's 1291 frequencies, with bounds": (sweep, 20, *PAPER),
@@ -298,6 +404,28 @@ ROWS = {  # named as in README.md
     "relaxation, 200 x 200, a step by krylov": (relaxation, 200, "krylov", 16, 8),
     "relaxation, 200 x 200, a step by direct": (relaxation, 200, "direct", 16, 8),
 }
+BULK = {  # about as many unknowns each, of vectors fewer
+    "316 x 316": (316**2, 2, "scalar", 4),
+    "46 x 46 x 46": (46**3, 3, "scalar", 2),
+    "39,000 unknowns, vectors in 2D": (20_000, 2, "vector", 4),
+    "36,000 unknowns, vectors in 3D": (13_500, 3, "vector", 4),
+}
+for name, sizes in BULK.items():
+    ROWS |= {
+        f"structure of {name} {FACTORED}": (structure, *sizes),
+        f"structure of {name} (peer: kernel polynomials)": (kernels, *sizes[:3]),
+    }
+ROWS |= {
+    f"structure of 100 x 100, beta .003 {FACTORED}": (structure, 100**2, 2, "scalar", 4, 0.003),
+    f"structure of 46 x 46 x 46, beta .003 {FACTORED}": (
+        structure, 46**3, 3, "scalar", 2, 0.003, 1,
+    ),
+    "pulse of 200 x 200 (peer: pgran by laplace)": (pulses, 200, 600.0),
+    "wall of 46 x 46 x 46, beta .03, 200 frequencies (peer: pgran, 4 of them)": (
+        wall, 46**3, 3, 0.03, 0.3, 1.0, 200, 4,
+    ),
+    "density of modes of 1000 x 1000 (peer: kernel polynomials)": (density, 1000**2, 2, 2),
+}  # fmt: skip
 for balls, axes, displacement, kind in (
     (200_000, 2, "scalar", "discs"),
     (50_000, 2, "vector", "discs with vectors"),
@@ -319,6 +447,11 @@ SMALL = {  # what makes each row a trial of itself
     random_modes: {"balls": 100},
     modes: {"side": 10, "interval": (0.4, 0.8)},
     damped_modes: {"balls": 100},
+    structure: {"balls": 100},
+    kernels: {"balls": 100},
+    density: {"balls": 100, "bins": 10},
+    pulses: {"side": 6, "time": 250.0},
+    wall: {"balls": 100, "damping": 0.1, "low": 0.5, "count": 10},
     relaxation: {"side": 6, "taken": 8, "steps": 4},
     network_states: {"balls": 100},
     network_modes: {"balls": 100, "count": 8},

@@ -1,8 +1,11 @@
 """What a careful user would write with NumPy and SciPy, for the benchmark."""
 
+from functools import cached_property
+
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
+from scipy.sparse._sparsetools import csr_matvec
 from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 
 # No pivoting: with it SymmetricMode fills in completely on these matrices.
@@ -15,19 +18,25 @@ class Peer:
     Parameters
     ----------
     medium : pgran.medium.lattice.Lattice or pgran.medium.network.Network
-    site : tuple of int
+    site : tuple of int, optional
         The detector.
     """
 
-    def __init__(self, medium, site):
-        """Assemble K and C from the springs."""
+    def __init__(self, medium, site=None):
+        """Assemble K from the springs."""
         self.medium, self.springs = medium, medium.springs
         self.B = sp.csr_matrix(self.springs.B)
-        self.K, self.C = (self._laplacian(k) for k in (medium.constants, self.springs.damped))
+        self.K = self._laplacian(medium.constants)
         self.identity = sp.identity(self.B.shape[1], format="csc")
         self.read = np.zeros(self.B.shape[1])
-        unknowns, weights = medium.readings([site])
-        self.read[unknowns] = weights
+        if site is not None:
+            unknowns, weights = medium.readings([site])
+            self.read[unknowns] = weights
+
+    @cached_property
+    def C(self):  # noqa: N802
+        """The matrix of the dashpots, each of the constant 1."""
+        return self._laplacian(self.springs.damped)
 
     def _laplacian(self, constants):
         return (self.B.T @ sp.diags(constants) @ self.B).tocsc()
@@ -88,3 +97,41 @@ class Peer:
         inverse = LinearOperator(self.K.shape, factor.solve)
         squares, _ = eigsh(self.K, k=count, sigma=sigma, OPinv=inverse)
         return np.sqrt(squares[np.argsort(np.abs(squares - sigma))] / self.medium.mass)
+
+    def moments(self, f, count, highest):
+        """Return f^T T_n(2 K / highest - 1) f, n < count, which is even: two of a product."""
+        H = ((4 / highest) * self.K - 2 * self.identity).tocsr()
+        matrix = *H.shape, H.indptr, H.indices, H.data
+        before, now, found = f.copy(), 0.5 * (H @ f), np.empty(count)
+        found[:2] = f @ f, f @ now
+        for n in range(2, count, 2):
+            found[n : n + 2] = 2 * (now @ now) - found[0], -found[1]
+            np.negative(before, out=before)
+            csr_matvec(*matrix, now, before)  # adds to what is there
+            before, now = now, before
+            found[n + 1] += 2 * (before @ now)
+        return found
+
+    def spectra(self, patterns, s, count, highest):
+        """Return Re(s f^T S(s)^-1 f) 2 m / pi of patterns f, by kernel polynomials."""
+        w = -2 * self.medium.mass * s**2 / highest - 1
+        root = np.sqrt(w - 1) * np.sqrt(w + 1)
+        c = -2 / root[:, None] * (w + root)[:, None] ** -np.arange(count)
+        c[:, 0] /= 2
+        found = [c @ self.moments(f, count, highest) for f in patterns]
+        return 2 * self.medium.mass / np.pi * np.real(s * 2 / highest * np.array(found))
+
+    def density(self, omegas, vectors, count, highest):
+        """Return modes a unit of frequency between some, by Jackson's kernel and random signs."""
+        x = np.clip(2 * self.medium.mass * omegas**2 / highest - 1, -1, 1)
+        angle, n = np.arccos(x), np.arange(count)
+        turn = np.pi / (count + 1)
+        kernel = (count - n + 1) * np.cos(n * turn) + np.sin(n * turn) / np.tan(turn)
+        below = 0.0
+        for vector in range(vectors):
+            bits = np.random.Generator(np.random.Philox(key=[1, vector]))
+            signs = bits.integers(0, 2, self.K.shape[0], dtype=np.int8) * 2.0 - 1.0
+            moments = self.moments(signs, count, highest) * kernel / (count + 1)
+            steps = np.sin(np.outer(angle, n[1:])) @ (moments[1:] / n[1:])
+            below = below + (moments[0] * (np.pi - angle) - 2 * steps) / np.pi / vectors
+        return np.diff(below) / np.diff(omegas)

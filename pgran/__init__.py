@@ -13,7 +13,7 @@ import importlib
 
 from pgran.run import machine
 
-__version__ = "1.2.0"
+__version__ = "1.3.0"
 
 machine.take_one_thread()  # before NumPy is loaded, if it is not
 

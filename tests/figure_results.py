@@ -58,8 +58,9 @@ def find_modes(shape=(4, 3), **wanted):
 
 
 @computed_once
-def count_modes(lattice=LATTICE, points=30):
-    return result_of(pgran.count_modes(lattice, np.linspace(0, 1.5 * UNIT, points)), lattice)
+def count_modes(lattice=LATTICE, points=30, **choices):
+    omegas = np.linspace(0, 1.5 * UNIT, points)
+    return result_of(pgran.count_modes(lattice, omegas, **choices), lattice)
 
 
 @computed_once

@@ -133,7 +133,7 @@ class NetworkReference:
 
     def system(self, s):
         """S."""
-        s = mpmath.mpmathify(complex(s))
+        s = mpmath.mpmathify(s)
         S = self.K + s * mpf(float(self.network.damping)) * self.C
         if self.network.loss is not None:
             S = S + mpmath.mpc(0, 1) * self.L
@@ -142,7 +142,7 @@ class NetworkReference:
 
     def amplitudes(self, s, sites):
         """What detectors read, by Gaussian elimination; infinite where S is singular."""
-        S, s = self.system(s), mpmath.mpmathify(complex(s))
+        S, s = self.system(s), mpmath.mpmathify(s)
         beta = mpf(float(self.network.damping))
         force = self.drive_K + s * beta * self.drive_C
         if self.network.loss is not None:

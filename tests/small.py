@@ -18,6 +18,7 @@ SMALL = {
     r"-relax_steps \d+": "-relax_steps 3000",
     r"-heat_samples \d+": "-heat_samples 2",
     r"-accuracy_repeats \d+": "-accuracy_repeats 1",
+    r"-lattice_shape 40,250*\b": "-lattice_shape 6,5",
     r"-lattice_shape 40,20": "-lattice_shape 12,5",
     r"-detectors 34,10.*": "-detectors 10,3,7,3,4,3,2,3",
     r"-structure_count \d+": "-structure_count 2",

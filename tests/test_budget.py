@@ -6,13 +6,13 @@ import pytest
 
 HOUSE = Path(__file__).parents[1]
 BUDGETS = {  # lines of Python, docstrings and blank ones too
-    "pgran": 32410,
+    "pgran": 33740,
     "pgran/*.py": 650,
-    "pgran/run": 2200,
-    "pgran/command": 2640,
+    "pgran/run": 2220,
+    "pgran/command": 2650,
     "pgran/store": 1310,
     "pgran/medium": 4580,
-    "pgran/driven": 2840,
+    "pgran/driven": 3890,
     "pgran/balance": 1190,
     "pgran/foreign": 1100,
     "pgran/draw": 1530,
@@ -21,13 +21,13 @@ BUDGETS = {  # lines of Python, docstrings and blank ones too
     "pgran/experiments/ensemble": 2250,
     "pgran/experiments/green": 300,
     "pgran/experiments/likeness": 440,
-    "pgran/experiments/modes": 3270,
-    "pgran/experiments/pulse": 1680,
+    "pgran/experiments/modes": 3670,
+    "pgran/experiments/pulse": 1460,
     "pgran/experiments/relaxation": 1080,
-    "pgran/experiments/response": 1700,
+    "pgran/experiments/response": 1780,
     "pgran/experiments/sensitivity": 2240,
-    "pgran/experiments/structure": 480,
-    "tests": 24890,
+    "pgran/experiments/structure": 500,
+    "tests": 25310,
 }
 
 

@@ -33,6 +33,7 @@ SHORT = {
     "damped": "13 15",
     "guarantees": "sweeps 1 2",
     "jamming": "2 80 2 1",
+    "moments": "0 12",
     "slopes": "1 1",
     "units": "7 8 1",
 }

@@ -45,8 +45,6 @@ def stopped(call, place, monkeypatch, world):
         place("b.opts", changes.SCENES[scene].replace("FILE", "read"))
         place("read", changes.WRITERS[changes.option_of(scene)], np.random.default_rng(seed))
         words = ["-output_file", "a.h5", "-output_progress", "none", *more]
-        if "integrated" in scene:  # of its two units each group would do one
-            words += ["-ranks_per_lattice", str(world.size)]
         return call("run", "b.opts", *words)
 
     return run

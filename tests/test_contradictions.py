@@ -68,6 +68,9 @@ REFUSED = {  # of each scene, words and what is said of them
         "-modes_density 9 -modes_method dense": "-modes_method",
         "-modes_density 9 -modes_detectors 2,2": "-modes_detectors",
         "-modes_density 9 -modes_omega_min .5": "-modes_omega_max",
+        "-modes_density_method moments": "-modes_density_method: belongs to -modes_density$",
+        "-modes_density 9 -modes_density_vectors 3": "-modes_density_vectors: .* moments$",
+        "-modes_density 9 -modes_density_diffusivity x": "-modes_density_diffusivity: .* moments$",
         "-output_fields -modes_density 9": "-output_fields",
         "-ranks_per_lattice 2": "-ranks_per_lattice",
     },
@@ -80,6 +83,8 @@ REFUSED = {  # of each scene, words and what is said of them
         "-pulse_shape ricker -pulse_width 3": "pulse_width.* no part of a ricker",
         "-pulse_shape gauss -pulse_omega 1": "pulse_omega.* no part of a gauss",
         "-pulse_file a.txt -pulse_shape gauss": "pulse_shape.* contradicts -pulse_file",
+        "-pulse_method integrate": "integrate: is gone, .* take -pulse_method moments, or laplace",
+        "-pulse_ts_type rk": "-pulse_ts_type: is gone, .* take -pulse_method moments, or laplace",
     },
     "sensitivity": {
         "-heat_factor 2 -heat_overlap .1": "-heat_factor, -heat_overlap: .* one of these ways",

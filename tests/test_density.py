@@ -1,6 +1,7 @@
 """The number of modes below frequencies, against all modes by dense linear algebra."""
 
 import dataclasses
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,9 +15,11 @@ import pgran
 from pgran.command.resolve import resolve
 from pgran.driven.counting import ModeCounter
 from pgran.experiments.modes import density
+from pgran.experiments.modes.density_moments import Traces
 from pgran.medium.base import record_of
 from pgran.run.crew import Crew
 from pgran.run.options import read_words
+from pgran.run.task import carry_out
 
 
 def check(found, squares):
@@ -175,3 +178,73 @@ def test_the_scene_and_its_words(world):
         said = list(density.summary(SimpleNamespace(density=shown)))
         assert said[2].startswith("a mode is too close to 1 of the frequencies")
         assert said[3] == f"UNSTABLE: modes with omega^2 < 0, their number is {number}"
+
+
+MOMENTS = {"method": "moments", "vectors": 4}
+
+
+def test_errors_of_estimates_are_their_scatter():
+    """Of 200 samples: bins by z of rms 1, counts within four standard errors."""
+    bins, counts = [], []
+    for seed in range(200):
+        lattice = random_lattice((16, 16), seed=seed // 4)
+        if seed % 4 == 0:
+            exact = np.sqrt(np.linalg.eigvalsh(pgran.matrices(lattice).K.toarray() / lattice.mass))
+            omegas = np.linspace(0.2, 1.0, 6) * exact[-1]
+        with Traces(lattice, omegas, MPI.COMM_SELF, 4, None, None, seed=seed) as task:
+            found = carry_out(task, Crew(MPI.COMM_SELF, 1))
+        modes = np.histogram(exact, omegas)[0]
+        bins.append((found.modes - modes) / found.modes_error)
+        apart = found.count - np.searchsorted(exact, omegas)
+        counts.append(apart[:-1] / np.maximum(found.count_error[:-1], 1.0))
+    assert 0.9 < np.sqrt(np.mean(np.square(bins))) < 1.15
+    assert np.abs(counts).max() < 4
+
+
+@pytest.mark.parametrize("axis", "xy")
+def test_diffusivities_are_those_of_dense_sums(axis, world):
+    """d = (pi / 2 omega) tr(D V D V^T) / tr D by all modes and the same kernel; on any ranks."""
+    lattice = random_lattice((12, 9), seed=2)
+    omegas, choices = np.linspace(0.3, 1.1, 5), MOMENTS | {"vectors": 300, "moments": 40}
+    found = []
+    for ranks in sorted({1, world.size}):
+        with Crew(world, ranks) as crew:
+            each = pgran.count_modes(lattice, omegas, crew, diffusivity=axis, **choices)
+            found.append(world.bcast(each))
+    assert np.allclose(found[0].diffusivity, found[-1].diffusivity, rtol=1e-9, atol=0)
+    assert np.allclose(found[0].density, found[-1].density, rtol=1e-9, atol=0)
+    A = pgran.matrices(lattice).K.toarray() / lattice.mass
+    squares, modes = np.linalg.eigh(A)
+    x = np.indices(lattice.shape)["xy".index(axis)].ravel()
+    V = modes.T @ (A * (x[:, None] - x)) @ modes
+    with Traces(lattice, omegas, MPI.COMM_SELF, 2, 40, None) as task:
+        kernel, size = task._weights(task.middle), task.series.a * task.scaled.mass
+        angles = np.arccos((size * squares - task.series.b) / 2)
+        D = kernel @ np.cos(np.outer(np.arange(40), angles))  # at each middle, of each mode
+    exact = np.einsum("wi,ij,wj->w", D, V**2, D) / D.sum(axis=1) * size / (2 * found[0].middle)
+    apart = (found[0].diffusivity - exact) / found[0].diffusivity_error
+    assert np.abs(apart).max() < 4
+    assert np.all(found[0].diffusivity_error < 0.2 * exact)
+
+
+def test_words_of_estimates():
+    lattice, choices = random_lattice((14, 13), seed=2), MOMENTS | {"vectors": 60}
+    omegas = np.linspace(0, 1.3, 4)
+    found = pgran.count_modes(lattice, omegas, diffusivity="x", moments=24, **choices)
+    shown = SimpleNamespace(density=found, medium=record_of(lattice))
+    first, errors, *diffusive, last = density.summary(shown)
+    assert first.startswith(f"modes below 4 frequencies estimated by {found.moments} moments of 60")
+    assert errors.startswith("standard error of a density ")
+    assert all("energy diffusivity along x at omega = " in line for line in diffusive)
+    assert re.fullmatch("modes below omega = 0: about 0 .*; below 1.3: about 182 .*", last)
+    for changes, words in (
+        ({"unstable": -1}, "-modes_density_method count says"),
+        ({"resolution": 9 * found.resolution}, "of which no error tells: take more"),
+        ({"density": 0 * found.density}, "no mode was seen"),
+        ({"diffusivity": 99 * found.diffusivity}, "too small, as walls are nearer than"),
+        ({"diffusivity": -found.diffusivity}, "no diffusivity is twice its error"),
+    ):
+        shown.density = dataclasses.replace(found, **changes)
+        assert any(words in line for line in density.summary(shown))
+    with pytest.raises(pgran.InputError, match=r"diffusivity z: .*; take x or y"):
+        pgran.count_modes(lattice, [0.1, 0.2], diffusivity="z", **MOMENTS)

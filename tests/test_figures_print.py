@@ -80,6 +80,9 @@ SCENES = {
                    "shapes speeds participation resonances"),
     "few modes": (lambda: find_modes((2, 1)), "shapes"),
     "density": (count_modes, "staircase density reduced"),
+    "estimates": (lambda: count_modes(
+        LARGER, method="moments", vectors=99, moments=12, diffusivity="x"
+    ), "staircase density reduced diffusivity"),
     "few frequencies": (lambda: project([0.5, 0.6, 0.7], (2, 2)), "onefreq"),
     "dominant": (lambda: project(FINE, (6, 5)), "maxci"),
     "single modes": (lambda: project(FINE, (3, 1)), "cifreq"),

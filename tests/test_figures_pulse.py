@@ -14,7 +14,7 @@ from pgran.errors import FileError
 from pgran.experiments.pulse import figures as pulse
 
 
-@pytest.mark.parametrize("method", ["laplace", "integrate"])
+@pytest.mark.parametrize("method", ["laplace", "moments"])
 def test_signals_above_each_other_by_distance(method):
     """Each scaled to its largest, with its envelope; the fronts; nothing below its error."""
     result = listen([(1, 1), (3, 2), (0, 0)], method=method)

@@ -206,6 +206,11 @@ def test_what_does_not_fit_is_not_tried(world, monkeypatch):
     needed = medium.lattice_memory(small, 1)
     assert medium.lattice_memory(small, 1, factored=False) < needed
     assert medium.lattice_memory(large, 4) < 0.5 * medium.lattice_memory(large, 1)
+    by_moments = chosen("structure", "-structure_method", "moments")
+    assert not medium.is_factored(by_moments, small)
+    assert medium.is_factored(chosen("structure"), small)
+    assert not medium.is_factored(chosen("structure"), random_lattice((400, 400)))  # by auto
+    assert medium.is_factored(chosen("response"), random_lattice((400, 400)))
     monkeypatch.setattr(forecast, "free_memory", lambda: int(1.2 * needed))
     lines = foreseen(world, chosen("response"))
     assert "nothing was tried" in lines["warning"]

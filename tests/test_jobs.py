@@ -30,7 +30,7 @@ SCRIPTS = {
 }
 # Started by tests below or elsewhere, or by .ci/run; and what is part of a script.
 ELSEWHERE = {"benchmark.sh", "geometry.py", "paper.sh", "quickstart.sh", "setup.sh", "test.sh"}
-ELSEWHERE |= {"gallery.sh", "waves.py", "slurm/study.sbatch"}
+ELSEWHERE |= {"cost.py", "gallery.sh", "waves.py", "slurm/study.sbatch"}
 PARTS = {"benchmark.py", "gallery.py", "peers.py", "tables.py"}
 PARTS |= {f"paper_{part}.py" for part in ("beads", "measures", "modes", "rows", "sweeps", "table")}
 PARTS |= {"paper.py"}
@@ -175,6 +175,16 @@ def test_the_readme_shows_rows_of_the_benchmark():
     rows = re.findall(r"^\| ([^|]+) \|.* s \|.*$", table, re.MULTILINE)
     assert len(rows) > 5
     assert [row for row in rows if row not in benchmark.ROWS] == []
+
+
+def test_the_cost_of_moments_and_of_factorizations(start, tmp_path):
+    """Of each lattice and method as many balls as asked for."""
+    path = tmp_path / "cost.png"
+    done = start(program=[sys.executable, str(ROOT / "jobs" / "cost.py"), str(path), "1000"])
+    assert done.returncode == 0, done.stderr
+    found = re.findall(r"^\| (..) \| (\w+) \| (\d+) ", done.stdout, re.MULTILINE)
+    assert [balls for _, _, balls in found] == ["1024", "1024", "1000", "1000"]
+    assert path.is_file()
 
 
 def test_a_rank_that_fails_ends_the_benchmark(project):

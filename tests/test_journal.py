@@ -12,7 +12,18 @@ import pytest
 from result_samples import no_room_beyond
 from samples import assert_same, random_lattice
 
-from pgran import BondLaw, count_modes, find_modes, heat, pack, project, pulse, relax, sweep
+from pgran import (
+    BondLaw,
+    count_modes,
+    find_modes,
+    heat,
+    pack,
+    project,
+    pulse,
+    relax,
+    structure,
+    sweep,
+)
 from pgran.errors import FileError, InputError, StoppedError
 from pgran.run.crew import Crew
 from pgran.run.journal import MAGIC, RECORD, Journal
@@ -306,13 +317,12 @@ SCENES = {
     "response, curve": lambda crew: sweep(LATTICE, OMEGAS, SITES, crew, method="curve"),
     "modes": lambda crew: find_modes(random_lattice((24, 20), 4), crew, shapes=True),
     "modes, counted": lambda crew: count_modes(LATTICE, OMEGAS[::9], crew),
+    "modes, estimated": lambda crew: count_modes(
+        LATTICE, OMEGAS[::9], crew, method="moments", vectors=4, diffusivity="y"
+    ),
     "projection": lambda crew: project(LATTICE, OMEGAS, crew),
     "pulse": lambda crew: pulse(LATTICE, SITES, crew, width=4.0, time=90, method="laplace"),
-    # with steps that are halved again and again
-    "pulse, integrated": lambda crew: pulse(
-        LATTICE, SITES, crew, time=300, method="integrate", error_tolerance=1e-9, fields=True,
-        solver={"pulse_ts_adapt_type": "none", "pulse_ts_dt": 1},
-    ),
+    "structure": lambda crew: structure(LATTICE, 3, OMEGAS[9:], crew, method="moments"),
     "relaxation": lambda crew: relax(
         LATTICE, BondLaw("uniform"), 0.6, (3, 3), crew, steps=1100, trajectories=2, window=16
     ),

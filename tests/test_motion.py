@@ -85,7 +85,7 @@ def test_a_motion_goes_through_its_numbers():
     ("shape", "columns", "size", "method"),
     [
         *(("gauss", 1, 1.0, "laplace"), ("step", 2, 1e-9, "laplace")),
-        *(("burst", 1, 1e100, "integrate"), ("step", 2, 3e-13, "integrate")),
+        *(("burst", 1, 1e100, "moments"), ("step", 2, 3e-13, "moments")),
     ],
 )
 def test_a_shape_by_numbers_gives_the_same_signals(alone, shape, columns, size, method):

@@ -215,7 +215,7 @@ def test_a_run_is_what_decides_its_numbers():
     run = options("-scene response").identity()
     how = "-ranks_per_lattice 1 -output_file b.h5 -output_log b.log -output_progress none -log_view"
     assert options(f"-scene response {how}").identity() == run
-    solver = "-steady_pc_type lu", "-pulse_mat_mumps_icntl_14 60"
+    solver = "-steady_pc_type lu", "-damped_st_mat_mumps_icntl_14 60"
     for what in ("-bonds_seed 2", "-error_tolerance 1e-3", "-output_fields", *solver):
         key, _, value = what[1:].partition(" ")
         other = options(f"-scene response {what}").identity()

@@ -156,8 +156,6 @@ HARMLESS = [
     "normal_st_type sinvert", "normal_ds_method 2", "normal_st_mat_mumps_icntl_7 5",
     "normal_count_pc_factor_mat_solver_type mumps", "normal_eps_ciss_ksp_type preonly",
     "damped_pep_tol 1e-10", "damped_pep_toar_restart 0.5", "damped_st_pc_type lu",
-    "pulse_ts_adapt_type none", "pulse_snes_linesearch_type basic", "pulse_ksp_type gmres",
-    "pulse_pc_type ilu", "pulse_mat_mumps_icntl_14 60",
 ]  # fmt: skip
 
 
@@ -178,7 +176,7 @@ def test_files_of_solvers_hold_the_same_keys(written):
     ):
         with pytest.raises(InputError, match=f"line 1.*{said}"):
             read_solver(written(f"-{text}\n".replace("pc_", "steady_pc_")), own)
-    with pytest.raises(InputError, match=r"holds -relax_window, -steady_\*, .*-pulse_pc_\* only"):
+    with pytest.raises(InputError, match=r"holds -relax_window, -steady_\*, .*-damped_\* only"):
         read_solver(written("-log_view\n"), own)
 
 

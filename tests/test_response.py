@@ -135,7 +135,7 @@ def test_the_phase_passes_over_failed_points(within):
     rows["displacement"][:, 0] = np.exp(1j * phase)
     rows["derivative"] = -10j * rows["displacement"]
     rows["displacement"][bad, 0] *= np.exp([2.0j, 4.0j, -3.0j])
-    found = task.response(rows, None, "points", 0.0, (0.3, 1.0), 0.0)
+    found = task.response(rows, "points", 0.0, (0.3, 1.0), 0.0)
     good = rows["converged_reason"] > 0
     assert found.failures == 3
     assert np.all(np.isnan(found.phase[~good]))

@@ -68,7 +68,7 @@ def test_spectra_are_those_of_dense_resolvents(displacement, periodic):
         ends = medium.position[touching[medium.held[touching] > 0], 0]
         q[0], directions = 2 * np.pi / np.ptp(ends), [[0, 1], [1, 0]]
         wave = np.sin(q[0] * (x[:, 0] - ends.min())) * np.exp(1j * q[1] * x[:, 1])
-    found = pgran.structure(medium, [q], omega, width=0.05)
+    found = pgran.structure(medium, [q], omega, width=0.05, method="factor")
     for branch, along in enumerate([[1]] if displacement == "scalar" else directions):
         g = np.zeros((len(x), medium.components), complex)
         g[:, : medium.axes] = wave[:, None] * along
@@ -109,7 +109,9 @@ def test_the_sum_rules():
 )
 def test_all_branches_of_a_crystal(medium, axis, count, width):
     """Of ideal waves Gamma is that of dashpots, and that of scattering 0, whatever sigma is."""
-    found = pgran.structure(medium, count, OMEGA, direction="xyz"[axis], width=width)
+    found = pgran.structure(
+        medium, count, OMEGA, direction="xyz"[axis], width=width, method="factor"
+    )
     assert found.q == pytest.approx(2 * np.pi / medium.box[axis] * np.arange(1, count + 1))
     assert not found.coarse.any()
     n = medium.normal[np.any(medium.bond == 0, axis=1)]  # of the contacts of one ball

@@ -43,7 +43,8 @@ def forecast(scene, options, world, started):
         balls = " x ".join(map(str, medium.shape)) if medium.is_grid else medium.free_balls
         lines.append(f"unknowns  {medium.size} ({balls} balls, {medium.bonds} bonds)")
         ranks = ranks_per_lattice(scene, options, medium, world)
-        needed = _on_this_machine(world, lattice_memory(medium, ranks, is_factored(options)))
+        needed = lattice_memory(medium, ranks, is_factored(options, medium))
+        needed = _on_this_machine(world, needed)
         free = free_memory()
         if any(world.allgather(free and needed > TRIED * free)):  # on one machine of several
             warning = (

@@ -49,8 +49,13 @@ def dissection(shape):
         box[axis], cuts[axis], boxes = (box[axis] - 1) / 2, cuts[axis] / 2 + 1, 2 * boxes
 
 
-def is_factored(options):
+def is_factored(options, medium):
     """Return whether options ask for a factorization of S."""
+    key = {"response": "sweep", "modes": "modes_density"}.get(options.scene, options.scene)
+    method = getattr(options, f"{key}_method", None)
+    # of large media auto takes a recurrence
+    if method == "moments" or (method == "auto" and key == options.scene and medium.is_large):
+        return False
     return options.solver.get("steady_pc_type", "lu") in ("lu", "cholesky")
 
 

@@ -98,6 +98,9 @@ def _check_foreign(key, item, scene, of):
         return keys.check_in_file(key, item)
     if key in ("n", "np"):
         raise InputError(f"-{key}{item.where}: ranks are started by mpirun -n N pgran run ...")
+    from pgran.run.gone import check_gone
+
+    check_gone(key, item.where)
     hint = meant(_key_meant(key, known))
     raise InputError(f"-{key}{item.where}: unknown option{hint} (pgran options {scene} lists all)")
 

@@ -181,9 +181,9 @@ def _check_room(options, medium, ranks, world):
     """Raise where the matrices and factors of a medium exceed the memory. Collective."""
     from pgran.command.medium import is_factored, lattice_memory
 
-    # modes take other factors, and pulses may be integrated
+    # modes take other factors, and pulses may take none
     of = getattr(options, f"{options.scene}_of", options.scene)
-    factored = SCENES[of].shares_lattice and of != "pulse" and is_factored(options)
+    factored = SCENES[of].shares_lattice and of != "pulse" and is_factored(options, medium)
     key = "lattice_shape" if medium.is_grid else "network_file"
     with agreeing(world):  # what is foreseen is right to a third
         machine.check_memory(key, lattice_memory(medium, ranks, factored) / 3)

@@ -49,6 +49,11 @@ class PatternSolver(SteadySolver):
         self.backward_error = np.nan
         return super().solve(s).converged_reason > 0
 
+    @property
+    def s(self):
+        """The present s."""
+        return self.operators.s
+
     def diagonal(self, patterns):
         """Return f^T S^-1 f of each pattern f, (m,), and bounds; NaN if that fails. Collective."""
         return self._carried_out(self._diagonal, (len(patterns),), patterns)

@@ -39,6 +39,17 @@ class Crew(contextlib.AbstractContextManager):
         if error[0] is None:
             self.group.Free()
 
+    @contextlib.contextmanager
+    def together(self, wanted=True):
+        """Let all ranks be one group meanwhile, if that is wanted. Collective."""
+        own = self.groups, self.number, self.group
+        if wanted:
+            self.groups, self.number, self.group = 1, 0, self.world
+        try:
+            yield
+        finally:
+            self.groups, self.number, self.group = own
+
     def begin(self):
         """Note, once, that all input has been read and checked. Collective."""
         begins, self._begins = self._begins, None

@@ -89,15 +89,6 @@ MODES = {
     ALONE: "(eps|pep)_(view(_values)?|converged_reason|monitor(_all|_conv)?) "
     "(eps|pep)_error_(absolute|backward|relative)",
 }
-# and of pulses.
-STEPS = {
-    TYPE: "ts_type ts_adapt_type snes_type snes_linesearch_type",
-    VALUE: "ts_(rk_type|adapt_wnormtype|dt|max_steps|max_reject) "
-    "ts_alpha_(radius|alpha_m|alpha_f|gamma|beta) snes_(rtol|atol|stol|max_it) "
-    "ts_adapt_(safety|reject_safety|clip|dt_min|dt_max|scale_solve_failed) "
-    "ts_adapt_time_step_increase_delay",
-    ALONE: "ts_(view|monitor|adapt_monitor) snes_(view|monitor|converged_reason)",
-}
 # Solvers inside of preconditioners.
 INNER = r"((sub|mg_levels|mg_coarse|redundant|telescope|esteig)_(\d{1,3}_)?)*"
 # What begins the keys of a solver, what that solves, and the keys there that a file may set.
@@ -111,10 +102,6 @@ SOLVERS = {
     "damped_": (
         "damped modes near a target (PEP, ST)", {"damped_": MODES, f"damped_st_{INNER}": LINEAR}
     ),
-    "pulse_ts_": ("pulses that are integrated (TS)", {"pulse_": STEPS}),
-    "pulse_snes_": ("implicit steps of a pulse (SNES)", {"pulse_": STEPS}),
-    "pulse_ksp_": ("linear systems of these steps (KSP)", {f"pulse_{INNER}": LINEAR}),
-    "pulse_pc_": ("preconditioners of these systems (PC)", {f"pulse_{INNER}": LINEAR}),
 }  # fmt: skip
 # PETSc's own keys at run time: those that only print, and all others, which no file may set.
 PRINTING = _one_of(

@@ -109,6 +109,9 @@ class Option:
         except (ValueError, KeyError):
             raise self._wrong_type(text, where) from None
         if self.choices and value not in self.choices:
+            from pgran.run.gone import check_gone
+
+            check_gone(f"{self.name} {text}", where)
             hint = meant(nearest(value, self.choices))
             choices = ", ".join(self.choices)
             raise InputError(f"-{self.name} {text}{where}: choose {choices}{hint}")

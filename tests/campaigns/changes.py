@@ -72,12 +72,9 @@ SCENES = {
     "relaxation": "-scene relaxation -network_file FILE -detectors 20 -relax_steps 8000",
     "sensitivity": "-scene sensitivity -network_file FILE -detectors 20 -sweep_points 300",
     "pulse": "-scene pulse -network_file FILE -detectors 20 -pulse_method laplace",
-    "integrated": "-scene pulse -network_file FILE -detectors 20 -pulse_method integrate",
     "bonds": "-scene response -bonds_law file -bonds_file FILE -detectors 3,3 -sweep_points 900 "
     "-sweep_method points -lattice_damping .01",
     "motion": f"-scene pulse {LATTICE} -pulse_file FILE -detectors 3,3 -pulse_method laplace",
-    "motion, integrated": f"-scene pulse {LATTICE} -pulse_file FILE -detectors 3,3 "
-    "-pulse_method integrate",
     "solvers": f"-scene accuracy {LATTICE} -accuracy_solvers FILE -detectors 3,3 -sweep_points 100 "
     "-accuracy_tolerances 1e-3,1e-6,1e-9",
 }
@@ -112,7 +109,7 @@ def change(number):
     rng = np.random.default_rng([SEED, 2, number])
     scene, (ranks, again) = list(SCENES)[number % len(SCENES)], rng.integers(1, 3, 2).tolist()
     folder = make_folder(scene, rng)
-    job = faults.Job(folder, 1 if "integrated" in scene else ranks)  # which has two units at once
+    job = faults.Job(folder, ranks)
     job.wait_for(lambda: faults.units_kept(folder) > 0)
     with contextlib.suppress(ProcessLookupError):
         os.kill(job.process.pid, signal.SIGUSR1)

@@ -160,11 +160,6 @@ def pulse(c, medium=None, **given):
     return pgran.pulse(c.plain if medium is None else medium, c.heard, **c.sent | given)
 
 
-def stepped(c, **given):
-    """Return the signals of one that is integrated."""
-    return pulse(c, method="integrate", **given)
-
-
 def moved(c, **given):
     """Return what a push of so many units of length moves."""
     return pulse(c, c.pushed, **given).displacement / c.length
@@ -257,11 +252,9 @@ ROWS = {
     "project": (lambda c: pgran.project(c.medium, c.omegas[::3]),),
     "pulse": (
         lambda c: pulse(c, method="laplace", fields=c.fields),
-        lambda c: stepped(c, fields=c.fields),
-        lambda c: stepped(c, error_tolerance=0.05, solver={"pulse_ts_type": "alpha2"}),
-        lambda c: stepped(c, solver={"pulse_ts_adapt_dt_max": 0.7 / c.top}).displacement,
-        lambda c: stepped(c, wall=c.length * np.hanning(99)).velocity / (c.length * c.top),
-        lambda c: moved(c, method="laplace"), lambda c: moved(c, method="integrate"),
+        lambda c: pulse(c, method="moments", fields=c.fields),
+        lambda c: pulse(c, wall=c.length * np.hanning(99)).velocity / (c.length * c.top),
+        lambda c: moved(c, method="laplace"), lambda c: moved(c, method="moments"),
     ),
     "redrawn": (lambda c: pgran.redrawn(c.medium, 9, law=c.law),),
     "relax": (relaxed("window"), relaxed("direct"), relaxed("krylov")),

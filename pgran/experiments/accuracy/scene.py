@@ -108,6 +108,7 @@ def run(lattice, options, crew):
 DECIDED = (
     "error_tolerance", "error_floor", "sweep_resolve", "phase_fit_min", "phase_fit_max",
     "output_fields", "output_models", "modes_detectors", "modes_damped", "modes_certificate",
-    "modes_density", "spectrum_fit_min", "spectrum_fit_max",
+    "modes_density", "modes_density_method", "modes_density_vectors", "modes_density_moments",
+    "modes_density_diffusivity", "spectrum_fit_min", "spectrum_fit_max",
 )  # fmt: skip
 SCENE = Scene(STUDY, run, summary, check, shares_lattice=True, whole=True, decides=DECIDED)

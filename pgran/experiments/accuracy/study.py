@@ -221,10 +221,7 @@ def read_relaxation(relaxation, lattice):
 
 
 def read_pulse(signals, lattice):
-    """Return the displacements of a pulse, relative to the largest of each ball's signal.
-
-    What an integration bounds its errors by are estimates.
-    """
+    """Return the displacements of a pulse, relative to the largest of each ball's signal."""
     largest = np.abs(signals.displacement).max(axis=0)
     good = signals.error.max(axis=0) <= signals.tolerance * largest
     return entries(signals.displacement, signals.error, good, largest)

@@ -57,7 +57,8 @@ SEEDS = 2**63  # that options and files can hold
 LEFT_OUT = {
     "output_fields": False, "output_models": False, "sweep_resolve": 0.0,
     "modes_target": None, "modes_count": None, "modes_density": None, "modes_detectors": None,
-    "modes_certificate": None,
+    "modes_certificate": None, "modes_density_method": "count", "modes_density_vectors": 8,
+    "modes_density_moments": None, "modes_density_diffusivity": "none",
 }  # fmt: skip
 NOT_TAKEN = {
     "crew", "seed", "progress", "fields", "shapes", "resolve", "keep_models", "solver", "targets",

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.record import FLOOR, Frequencies, array, attribute_array, error_of
+from pgran.store.record import FLOOR, Frequencies, array, attribute, attribute_array, error_of
 
 PAIRS, OWN = ("omega", "receiver_number", "source_number"), ("omega", "source_number")
 NO_BOUND = "bound of its error; infinite: none is known"
@@ -41,6 +41,11 @@ class Green(Frequencies):
     local_density_bound: np.ndarray = error_of(local_density, NO_BOUND)
     backward_error: np.ndarray = array(
         "largest normwise backward error of the fields", "1", "omega", row=True
+    )
+
+    moments: int | None = attribute(
+        "how many moments of each source gave it; 0 or none: factorizations alone",
+        optional=True,
     )
 
     @property

@@ -1,14 +1,16 @@
 """Scene `green`: how far a unit force on one ball moves another, and local densities of states."""
 
+import time
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pgran.driven.amplitudes import below_relative_accuracy, is_accurate
-from pgran.driven.drive import STEADY, PatternSweep, reached_accuracy
+from pgran.driven.drive import STEADY, reached_accuracy, work_of
+from pgran.driven.sweeps import METHOD, PatternSweep, carry_out_sweep
 from pgran.experiments.green.record import Green
 from pgran.medium.base import ALONG, EPSILON, medium, warn_above_modes
-from pgran.run.agreement import agreeing
+from pgran.run.agreement import agreeing, on_root
 from pgran.run.experiment import (
     PROGRESS,
     Asked,
@@ -22,7 +24,6 @@ from pgran.run.experiment import (
 from pgran.run.frequencies import SWEEP, check_sweep
 from pgran.run.machine import check_memory
 from pgran.run.options import INTEGERS, Option
-from pgran.run.task import carry_out
 from pgran.store.estimate import counted
 from pgran.store.record import ball_names, columns_of, row_of
 
@@ -58,6 +59,7 @@ def green(
     direction: "str | ArrayLike" = option(
         "drive", f"of networks with vectors: how balls are pushed and heard: {ALONG}"
     ),
+    method: str = METHOD,
     error_tolerance: float = STEADY["error_tolerance"],
     error_floor: float = STEADY["error_floor"],
     progress: str = PROGRESS,
@@ -82,29 +84,34 @@ def green(
     >>> bool(abs(found.green[0, 0, 1] / found.green[0, 1, 0] - 1) < 1e-12)
     True
     """
+    started = time.perf_counter()
     with agreeing(crew.world):
         receivers = sources if receivers is None else receivers
         choices = {"error_tolerance": error_tolerance, "error_floor": error_floor}
         task = GreenSweep(lattice, omegas, sources, receivers, direction, choices)
     warn_above_modes(lattice, crew.world, omegas[0])
-    return carry_out(task, crew, progress)
+    rows, moments = carry_out_sweep(task, method, crew, progress)
+    seconds = time.perf_counter() - started
+    return on_root(crew.world, lambda: task.record(rows, moments, seconds), keep=True)
 
 
 class GreenSweep(PatternSweep):
     """Green's functions at each frequency, in the lattice's own unit."""
 
+    by = "-green_method"
+
     def __init__(self, lattice, omegas, sources, receivers, direction, choices):
         sources = lattice.sites(sources, "green_sources")
-        self.receivers = lattice.sites(receivers, "green_receivers")
-        own, heard = len(sources), len(self.receivers)
+        self.balls = lattice.sites(receivers, "green_receivers")
+        own, heard = len(sources), len(self.balls)
         row = row_of(Green, receiver_number=(heard,), source_number=(own,))
         row += [("own", complex, (own,)), ("own_bound", float, (own,))]
         check_memory("green_sources", BYTES * lattice.size * (own + heard))
         super().__init__(lattice, omegas, sources, row, choices)
         self.direction = lattice.along(direction, "green_direction")
-        self.pushed, self.heard = self._forces(sources), self._forces(self.receivers)
-        if not np.array_equal(self.sites, self.receivers):  # what is pushed is heard, too
-            self.heard = np.concatenate([self.heard, self.pushed])
+        self.sources, self.receivers = self._forces(sources), self._forces(self.balls)
+        if not np.array_equal(self.sites, self.balls):  # what is pushed is heard, too
+            self.receivers = np.concatenate([self.receivers, self.sources])
 
     def _forces(self, sites):
         """Return unit forces on balls as patterns of mass-weighted unknowns, (n, unknowns)."""
@@ -116,17 +123,17 @@ class GreenSweep(PatternSweep):
 
     def keep(self, point, solver):
         """See `PatternSweep`."""
-        heard = len(self.receivers)
-        values, bounds = solver.products(self.heard, self.pushed)
+        heard = len(self.balls)
+        values, bounds = solver.products(self.receivers, self.sources)
         point["green"], point["error_bound"] = values[:heard], bounds[:heard]
         for name, found in (("own", values), ("own_bound", bounds)):
-            point[name] = np.diagonal(found[-len(self.pushed) :])
+            point[name] = np.diagonal(found[-len(self.sources) :])
         good = is_accurate(bounds, values, solver.tolerance)
         good |= bounds <= self.choices["error_floor"] / abs(self.scaled.kmax)
         point["converged_reason"] = GOOD if np.all(good) else MISSED
 
-    def collect(self, rows, seconds):
-        """See `Task`."""
+    def record(self, rows, moments, seconds):
+        """Return the record of the rows."""
         columns, scaled = columns_of(Green, rows), self.scaled
         G, bound = columns["green"], columns["error_bound"]
         at_floor = below_relative_accuracy(bound, G, self.choices["error_tolerance"])
@@ -141,10 +148,11 @@ class GreenSweep(PatternSweep):
             **columns,
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
+            moments=moments,
             omega=self.omegas,
             direction=self.direction,
             source=self.sites,
-            receiver=self.receivers,
+            receiver=self.balls,
             mass=self.unit * mass,
             at_floor=at_floor,
             local_density=density,
@@ -156,10 +164,8 @@ def summary(result):
     """Yield in words what a run found."""
     record, good = result.green, result.green.converged_reason > 0
     nw, omega, density = len(record.omega), record.omega, record.local_density
-    yield (
-        f"{counted(nw, 'frequency')} with {counted(record.factorizations, 'factorization')} in "
-        f"{record.solve_seconds:.2f} s: {counted(record.green[0].size, 'pair')} of balls"
-    )
+    pairs = counted(record.green[0].size, "pair")
+    yield f"{counted(nw, 'frequency')} with {work_of(record)}: {pairs} of balls"
     if record.failures:
         failed = f"{record.failures} of {nw} frequencies"
         yield Caution(f"{failed} failed or missed the accuracy asked for")

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.experiments.modes.density_options import BY_MOMENTS
 from pgran.experiments.modes.record import Density
-from pgran.medium.base import check_frequency, medium
+from pgran.medium.base import AXES, check_frequency, medium
 from pgran.run.experiment import PROGRESS, Caution, in_parallel
 from pgran.run.numbers import numbers
 from pgran.run.task import Task, carry_out
+from pgran.store.estimate import with_error
 from pgran.store.record import columns_of, row_of
 from pgran.store.si import SI
 
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 # is larger than the first, the others, down to MARGIN of |K|, where one is closer.
 CLEARANCES = (0.01, 0.1, 1e-4, 1e-6, 1e-8, 1e-10)
 MARGIN = 1e-11  # of |K|: how far a count is moved down at first where an eigenvalue is too close
+SMOOTHED = 0.25  # of a bin: from where that may be more than its error
+WALLED = 0.1  # of the resolution: where diffusion between walls makes it a tenth too small
 ATTEMPTS = 40  # each four times as far down
 
 
@@ -38,12 +42,16 @@ def frequencies(options, lattice):
     return np.linspace(low, high, options.modes_density)
 
 
-@in_parallel(lattice=medium, omegas=partial(numbers, "omegas"))
+@in_parallel(shares_lattice=True, solver=False, lattice=medium, omegas=partial(numbers, "omegas"))
 def count_modes(
     lattice: "Medium",
     omegas: "ArrayLike",
     crew: "Crew | None" = None,
     *,
+    method: str = BY_MOMENTS["method"],
+    vectors: int = BY_MOMENTS["vectors"],
+    moments: int | None = BY_MOMENTS["moments"],
+    diffusivity: str = BY_MOMENTS["diffusivity"],
     progress: str = PROGRESS,
 ) -> Density | None:
     """Count the normal modes below each of some frequencies; no mode is computed.
@@ -77,7 +85,30 @@ def count_modes(
     if omegas.ndim != 1 or len(omegas) < 2 or not (omegas[0] >= 0 and np.all(np.diff(omegas) > 0)):
         raise InputError("omegas: two frequencies or more are needed, 0 or higher, that increase")
     check_frequency(lattice, omegas[-1])
-    return carry_out(Counts(lattice, omegas), crew, progress)
+    if method == "count":
+        if diffusivity not in (None, "none"):
+            raise InputError("-modes_density_diffusivity: take -modes_density_method moments")
+        return carry_out(Counts(lattice, omegas), crew, progress)
+    from pgran.driven.drive import TOGETHER
+    from pgran.experiments.modes.density_moments import Traces
+
+    axis = None if diffusivity == "none" else place_of(lattice, diffusivity)
+    moments = moments and 2 * (moments // 2)
+    together = crew.together(lattice.size > TOGETHER)
+    with together, Traces(lattice, omegas, crew.group, vectors, moments, axis) as traces:
+        return carry_out(traces, crew, progress)
+
+
+def place_of(lattice, axis):
+    """Return the number of an axis along which balls have places, or raise an InputError."""
+    number, there = AXES.index(axis), lattice.axes if lattice.is_grid else 0
+    if not lattice.is_grid and lattice.position is not None:
+        there = lattice.position.shape[1]
+    if number >= there:
+        places = f"take {' or '.join(AXES[:there])}" if there else "nor any, so leave it out"
+        where = f"-modes_density_diffusivity {axis}"
+        raise InputError(f"{where}: balls have no place along it; {places}")
+    return number
 
 
 class Counts(Task):
@@ -167,18 +198,69 @@ def count_below(counter, shift):
 def summary(result):
     """Yield in words what a run found."""
     density, si = result.density, SI.of(result)
-    yield f"modes counted below {len(density.omega)} frequencies in {density.solve_seconds:.2f} s"
+    low, high = density.omega[[0, -1]]
+    first, last = density.count[[0, -1]]
+    frequencies, took = len(density.omega), f"in {density.solve_seconds:.2f} s"
+    if density.method == "moments":
+        yield (
+            f"modes below {frequencies} frequencies estimated by {density.moments} moments of "
+            f"{density.vectors} random vectors {took}"
+        )
+        yield from _estimates(density, result.medium)
+        first, last = (f"about {density.count[n]} +- {density.count_error[n]:.1g}" for n in (0, -1))
+    else:
+        yield f"modes counted below {frequencies} frequencies {took}"
     if density.failures:
         yield Caution(f"NOT CERTIFIED: {density.failures} of the counts")
-    else:
+    elif density.method != "moments":
         yield "all counts certified"
     moved = np.count_nonzero(density.margin)
     if moved:
         below = f"counted at most {density.margin.max():.1e} below these"
         yield f"a mode is too close to {moved} of the frequencies: {below}"
-    if density.unstable:
+    if density.unstable and density.method == "moments":
+        yield Caution(
+            "pre-stress may make modes unstable, omega^2 < 0: -modes_density_method count says "
+            "how many are"
+        )
+    elif density.unstable:
         number = density.unstable if density.unstable > 0 else "unknown"
         yield Caution(f"UNSTABLE: modes with omega^2 < 0, their number is {number}")
-    low, high = density.omega[[0, -1]]
-    first = f"modes below omega = {low:.6g}{si.say('Hz', low)}: {density.count[0]}"
-    yield f"{first}; below {high:.6g}{si.say('Hz', high)}: {density.count[-1]}"
+    first = f"modes below omega = {low:.6g}{si.say('Hz', low)}: {first}"
+    yield f"{first}; below {high:.6g}{si.say('Hz', high)}: {last}"
+
+
+def _estimates(density, medium):
+    """Yield in words how good estimates are."""
+    known = density.density > 0
+    if not known.any():
+        yield "no mode was seen between these frequencies"
+        return
+    error = np.median(density.density_error[known] / density.density[known])
+    smoothed = np.median(density.resolution / np.diff(density.omega))
+    words = f"steps smoothed by {smoothed:.2g} of a bin"
+    yield f"standard error of a density {error:.1e} of it, {words} (medians)"
+    if smoothed > SMOOTHED:
+        yield Caution(f"{words}, of which no error tells: take more -modes_density_moments")
+    if density.diffusivity is None:
+        return
+    known, axis = np.flatnonzero(density.diffuses), density.diffusivity_axis
+    if not len(known):
+        yield Caution(
+            "no diffusivity is twice its error, of ten modes or more within the resolution: take "
+            "more -modes_density_vectors, fewer -modes_density_moments, or more balls"
+        )
+    for n in known[:: max(len(known) - 1, 1)]:  # the ends
+        found = with_error(density.diffusivity[n], density.diffusivity_error[n])
+        yield (
+            f"energy diffusivity along {axis} at omega = {density.middle[n]:.4g}: {found} "
+            f"length^2 x frequency, in {medium.length}"
+        )
+    # between walls nothing gets further than their distance, which takes a time of L^2 / pi^2 d
+    long = medium.shape[AXES.index(axis)] + 1 if medium.group == "lattice" else math.inf
+    walled = density.diffusivity * (math.pi / long) ** 2 > WALLED * density.resolution
+    if few := np.count_nonzero(walled[known]):
+        yield Caution(
+            f"{few} of {len(known)} diffusivities are too small, as walls are nearer than the "
+            "resolution tells: take fewer -modes_density_moments, or more balls"
+        )

@@ -10,6 +10,8 @@ from pgran.experiments.modes.shapes import RESIDUAL, least_frequency
 from pgran.medium.base import medium as medium_of
 from pgran.store.record import DETECTOR, Frequencies, Record, array, attribute
 
+FEWEST = 10  # modes of which an energy diffusivity is one of a continuum
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Density(Record):
@@ -21,6 +23,9 @@ class Density(Record):
     0, and -1 if that is not certain. Between neighbouring frequencies the
     `density` is the modes there, per ball and per `omega_mx`: its integral over omega / omega_mx is
     the number of modes a ball, NaN next to a count that is not certified.
+
+    By the `method` moments all are estimates by random `vectors`, with standard errors: of counts
+    smoothed by the `resolution`, and of energy diffusivities, if these were asked for.
     """
 
     group = "density"
@@ -40,11 +45,52 @@ class Density(Record):
     )
     middle: np.ndarray = array("middle between neighbouring frequencies, angular", "sqrt(k/m)")
     density: np.ndarray = array("modes there per ball and omega_mx", "1", "middle")
+    method: str | None = attribute("count, or moments: estimates", optional=True)
+    vectors: int | None = attribute("random vectors of the moments", optional=True)
+    moments: int | None = attribute("moments of each vector", optional=True)
+    density_error: np.ndarray | None = array(
+        "its standard error, an estimate", "1", "middle", optional=True
+    )
+    count_error: np.ndarray | None = array(
+        "standard error of the count, an estimate", "1", "omega", optional=True
+    )
+    resolution: np.ndarray | None = array(
+        "how far steps of the count are smoothed", "sqrt(k/m)", "middle", optional=True
+    )
+    diffusivity: np.ndarray | None = array(
+        "energy diffusivity of modes, an estimate", "length^2 sqrt(k/m)", "middle", optional=True
+    )
+    diffusivity_error: np.ndarray | None = array(
+        "its standard error, an estimate", "length^2 sqrt(k/m)", "middle", optional=True
+    )
+    diffusivity_axis: str | None = attribute("along which these are", optional=True)
+
+    @property
+    def modes(self):
+        """The modes between neighbouring frequencies; NaN: not certified."""
+        return self.density * self._balls_of_bins
+
+    @property
+    def modes_error(self):
+        """Their standard errors, of counts their square roots."""
+        counted = self.density_error is None
+        return np.sqrt(self.modes) if counted else self.density_error * self._balls_of_bins
+
+    @property
+    def diffuses(self):
+        """Where d is twice its error or more, of FEWEST modes or more within the resolution."""
+        alike = self.modes * self.resolution / np.diff(self.omega)
+        known = 2 * self.diffusivity_error <= self.diffusivity
+        return known & (alike >= FEWEST) & (self.resolution < self.middle)
+
+    @property
+    def _balls_of_bins(self):
+        return self.balls * np.diff(self.omega) / self.omega_mx
 
     @property
     def failures(self):
-        """How many counts are not certified."""
-        return int(np.count_nonzero(~self.certified))
+        """How many counts are not certified; estimates, which no count is, do not fail."""
+        return 0 if self.method == "moments" else int(np.count_nonzero(~self.certified))
 
     @staticmethod
     def weyl(lattice, omega):

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pgran.errors import InputError
+from pgran.experiments.modes.density_options import BY_MOMENTS, DENSITY
 from pgran.experiments.modes.record import DampedModes, Modes, exactness
 from pgran.experiments.modes.shapes import RESIDUAL, Resonances, least_frequency, participation
 from pgran.medium.base import EPSILON, Medium, check_frequency, medium, warn_above_modes
@@ -35,7 +36,7 @@ from pgran.run.experiment import (
     window,
 )
 from pgran.run.machine import check_memory
-from pgran.run.options import INTEGER, INTEGERS, REAL, REALS, Option, alternatives, check_ends
+from pgran.run.options import INTEGER, INTEGERS, REAL, REALS, alternatives, check_ends
 from pgran.run.task import Task, carry_out
 from pgran.store.estimate import counted
 from pgran.store.record import ball_names, columns_of, row_of
@@ -51,12 +52,6 @@ SITES = option(
     key="modes_detectors", kind=INTEGERS, low=0, high=2**63 - 1,
 )  # fmt: skip
 DETECTORS = Asked((SITES,), SITES.of_run)
-DENSITY = Option(
-    "modes_density", INTEGER, None,
-    "count the modes below so many frequencies, instead of finding them, from "
-    "-modes_omega_min (0) to -modes_omega_max (above all modes)",
-    low=2, high=10**6
-)  # fmt: skip
 
 
 @in_parallel("modes", lattice=medium, detectors=DETECTORS)
@@ -349,6 +344,15 @@ def check(values, given):
                     "them"
                 )
             values["output_fields"] = False
+    moot, owner = [option.name for option in BY_MOMENTS.values()], "-modes_density"
+    if values.get("modes_density") is not None:
+        first, *moot = moot
+        moot, owner = moot if values[first] == "count" else [], f"-{first} moments"
+    for name in moot:
+        if name in given:
+            raise InputError(f"-{name}{given[name].where}: belongs to {owner}")
+        if name in values:
+            values[name] = None
     check_modes(values, given)
     if values["modes_count"] is not None and values["modes_target"] is None:
         raise InputError("-modes_count: -modes_target must say where")
@@ -459,4 +463,5 @@ def resonances(modes, si):
         yield f"{ball}: the strongest modes, each alone, are at omega = {', '.join(loudest)}"
 
 
-SCENE = Scene((*options_of(find_modes), DENSITY), run, summary, check, function=find_modes)
+OPTIONS = (*options_of(find_modes), DENSITY, *BY_MOMENTS.values())
+SCENE = Scene(OPTIONS, run, summary, check, function=find_modes)

@@ -16,6 +16,7 @@ error is bounded:
 """
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -38,13 +39,11 @@ class PulseLine(FrequencySweep):
 
     def __init__(self, recording):
         self.recording, lattice = recording, recording.lattice
-        time, tolerance = recording.time, recording.tolerance
-        limits = limits_of(recording.scaled)
-        readings = recording.scaled.reading_norms(recording.sites)
-        size = tolerance * recording.scaled.drive_size
-        self.line = Line(recording.sent, time[-1], len(time), limits, size, readings)
+        tolerance = recording.tolerance
+        self.line = line_of(recording)
         cost = len(self.line.s) * math.prod(lattice.shape) * len(recording.fine)
-        self.whole = recording.fields or cost <= LARGEST_COST
+        self.keeps_energies = cost <= LARGEST_COST
+        self.whole = recording.fields or self.keeps_energies
         row = [
             ("displacement", complex, (len(recording.sites),)),
             ("error_bound", float, (len(recording.sites),)),
@@ -80,7 +79,8 @@ class PulseLine(FrequencySweep):
         line, recording = self.line, self.recording
         bound = np.where(np.isnan(rows["error_bound"]), np.inf, rows["error_bound"])
         found, at_times = line.signals(np.nan_to_num(rows["displacement"]), bound), {}
-        found |= self._work(rows["force"], rows["force_error"])
+        force, error = np.nan_to_num(rows["force"]), rows["force_error"]
+        found |= work_of(recording, line, force, np.where(np.isnan(error), np.inf, error))
         if self.whole:
             field = np.nan_to_num(rows["field"])
             field = line.transform.reshape(-1, *[1] * (field.ndim - 1)) * field
@@ -105,24 +105,6 @@ class PulseLine(FrequencySweep):
             **at_times,
         )
 
-    def _work(self, force, error):
-        """Return force and work of the wall, each with an estimate of its error.
-
-        Of a push its velocity is in the place of the force; see `Recording.taken`.
-        """
-        line, recording = self.line, self.recording
-        force, error = np.nan_to_num(force), np.where(np.isnan(error), np.inf, error)
-        error = line.summed(error + EPSILON * np.abs(force)) * np.exp(line.sigma * recording.fine)
-        force = line.inverse(force * line.transform, recording.finer, recording.before)
-        work, rough = recording.integral(force * recording.taken)
-        with np.errstate(invalid="ignore"):  # a wall at rest does no work, whatever its force is
-            power = np.nan_to_num(error * np.abs(recording.taken), posinf=np.inf)
-        added = np.cumsum(power) * (recording.time[1] / recording.finer)
-        return {
-            "force": (recording.coarse(force), recording.coarse(error)),
-            "work": (work, rough + recording.coarse(added)),
-        }
-
     def _energies(self, field):
         """Return the energy of springs and balls at the times, and the dashpots' power at `fine`.
 
@@ -145,42 +127,76 @@ class PulseLine(FrequencySweep):
         return energy, power
 
 
+def work_of(recording, line, force, error, more=0.0):
+    """Return force and work of the wall, each with an estimate of its error.
+
+    From the force on the line and its error, `more` of which there is at the times. Of a push its
+    velocity is in the place of the force; see `Recording.taken`.
+    """
+    more = np.interp(recording.fine, recording.time, more + 0 * recording.time)
+    error = (
+        line.summed(error + EPSILON * np.abs(force)) * np.exp(line.sigma * recording.fine) + more
+    )
+    force = line.inverse(force * line.transform, recording.finer, recording.before)
+    work, rough = recording.integral(force * recording.taken)
+    with np.errstate(invalid="ignore"):  # a wall at rest does no work, whatever its force is
+        power = np.nan_to_num(error * np.abs(recording.taken), posinf=np.inf)
+    added = np.cumsum(power) * (recording.time[1] / recording.finer)
+    return {
+        "force": (recording.coarse(force), recording.coarse(error)),
+        "work": (work, rough + recording.coarse(added)),
+    }
+
+
+def line_of(recording):
+    """Return the line on which a recording's amplitudes are solved for."""
+    limits, sent, time = limits_of(recording.scaled), recording.sent, recording.time[-1]
+    readings = recording.scaled.reading_norms(recording.sites)
+    tolerance = recording.tolerance * recording.scaled.drive_size
+    speed, largest = partial(largest_speed, limits, sent), partial(largest_amplitudes, limits)
+    # P so long that u(t + P) e^(-sigma P) is small, |u(t)| being t |u'| at most,
+    least = LATER_SHARE * tolerance / readings.max(initial=1.0)
+    later = 3 * time * float(speed(3 * time)) / least
+    # and that the pulse before this one's time 0 is no part of the turn before either
+    earlier = max(SHORTEST_PERIOD, 1.0 - sent.begin / time)
+    turn = max(earlier, min(3.0, math.log(max(later, 1.0)) / SIGMA_TIME))
+    line = SIGMA_TIME, turn, largest, speed
+    return Line(sent, recording.time, *line, tolerance, readings)
+
+
 class Line:
     """Where on the line amplitudes are computed: `s` and `transform`, U(s), of shape (ns,).
 
-    Signals are wanted at `points` equal times from 0 to `time`, to a `tolerance` in units of the
-    wall's motion; `readings` are |e_d| of each detector, 1 unless its mass is not the unit. An
-    error of every A(s) is `growth` times larger in a displacement, at most; what frequencies left
-    out add up to, without e^(sigma t), is `left_out`, and `left_out_speed` in a velocity.
+    Signals are wanted at equal times from 0 to T, to a `tolerance` in units of the wall's motion.
+    sigma T is `damped`, the period at least `turn` T; |A(s)| is at most `largest(s)`, a velocity
+    |u'|_2 at most `speed(t)` up to any t. `readings` are |e_d| of each detector, 1 unless its mass
+    is not the unit. An error of every A(s) is `growth` times larger in a displacement, at most;
+    what frequencies left out add up to, without e^(sigma t), is `left_out`, and `left_out_speed` in
+    a velocity.
     """
 
-    def __init__(self, pulse, time, points, limits, tolerance, readings=1.0):
-        self.pulse, self.limits, self.sigma = pulse, limits, SIGMA_TIME / time
+    def __init__(self, pulse, time, damped, turn, largest, speed, tolerance, readings):
+        self.pulse, self.time, self.speed, end = pulse, time, speed, float(time[-1])
+        self.sigma = damped / end
         self.readings = np.asarray(readings)
-        tolerance = tolerance / self.readings.max(initial=1.0)
-        # P so long that u(t + P) e^(-sigma P) is small, |u(t)| being t |u'| at most,
-        later = 3 * time * float(largest_speed(limits, pulse, 3 * time)) / (LATER_SHARE * tolerance)
-        # and that the pulse before this one's time 0 is no part of the turn before either
-        earlier = max(SHORTEST_PERIOD, 1.0 - pulse.begin / time)
-        turn = max(earlier, min(3.0, math.log(max(later, 1.0)) / SIGMA_TIME))
-        step = time / (points - 1)
-        self.times = math.ceil(turn * time / step)  # in a period
+        step = end / (len(time) - 1)
+        self.times = math.ceil(turn * end / step)  # in a period
         self.period = self.times * step
-        self.time = np.linspace(0.0, time, points)
         count = math.ceil(pulse.highest * self.period / (2 * math.pi)) + 1
         s = self.sigma + 2j * np.pi / self.period * np.arange(count)
         U = pulse.transform(s)
         # the smallest terms of the sum over k are left out, as long as they add up to little
-        size = 2 / self.period * largest_amplitudes(limits, s) * np.abs(U)
+        size = 2 / self.period * largest(s) * np.abs(U)
         order = np.argsort(size, kind="stable")
-        small = np.cumsum(size[order]) * math.exp(SIGMA_TIME) <= LEFT_OUT_SHARE * tolerance
+        least = LEFT_OUT_SHARE * tolerance / self.readings.max(initial=1.0)
+        small = np.cumsum(size[order]) * math.exp(damped) <= least
         small[-1] = False  # something is left even where the wall drives nothing
         out, self.number = order[small], np.sort(order[~small])
         self.s, self.transform = s[self.number], U[self.number]
         self.left_out, self.left_out_speed = size[out].sum(), (size * np.abs(s))[out].sum()
         # k and -k, which is its conjugate, are one term
         self._weight = np.where(self.number == 0, 1.0, 2.0) / self.period
-        self.growth = math.exp(SIGMA_TIME) * np.sum(self._weight * np.abs(self.transform))
+        self.growth = math.exp(damped) * np.sum(self._weight * np.abs(self.transform))
 
     def inverse(self, transforms, finer=1, before=0):
         """Return functions, from transforms (ns, ...) on the line, at the times of the signals.
@@ -209,10 +225,14 @@ class Line:
         `inverse` is quicker for many.
         """
         for some in np.array_split(time, 1 + len(time) * len(self.s) // NUMBERS_AT_ONCE):
-            turning = self._weight * np.exp(np.outer(some, self.s))
+            turning = self.turning(some)
             real, imaginary = (np.ascontiguousarray(x) for x in (turning.real, turning.imag))
             moved = np.tensordot(real, transforms.real, 1)
             yield moved - np.tensordot(imaginary, transforms.imag, 1)
+
+    def turning(self, time):
+        """Return what each transform counts at times, (n, ns): the function is the real part."""
+        return self._weight * np.exp(np.outer(time, self.s))
 
     def signals(self, amplitude, bound):
         """Return displacement and velocity by name, each with a bound of its error, (nt, nd).
@@ -246,7 +266,7 @@ class Line:
         total = np.zeros_like(self.time)
         for n in range(1, 4):
             t, damped = self.time + n * self.period, math.exp(-n * self.sigma * self.period)
-            total += 1.1 * largest_speed(self.limits, self.pulse, t) * t**power * damped
+            total += 1.1 * self.speed(t) * t**power * damped
         return total
 
 

@@ -1,19 +1,22 @@
 """Scene `pulse`: the wall moves as it likes, and balls are listened to in time."""
 
+import contextlib
 import math
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.driven import drive as driven
-from pgran.errors import InputError
+from pgran.driven.drive import TOGETHER
+from pgran.errors import InputError, log
 from pgran.experiments.pulse.laplace import PulseLine
 from pgran.experiments.pulse.record import Signals
 from pgran.experiments.pulse.signals import Recording, front_speed
 from pgran.experiments.pulse.wall import SHAPES, Pulse, Samples
-from pgran.medium.base import medium
+from pgran.medium.base import Medium, medium
 from pgran.run.agreement import agreeing, on_root
+from pgran.run.crew import Crew
 from pgran.run.experiment import (
     PROGRESS,
     Asked,
@@ -32,13 +35,8 @@ from pgran.store.record import ball_names
 from pgran.store.si import SI
 from pgran.store.text import read_columns
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.medium.base import Medium
-    from pgran.run.crew import Crew
-
-PROVABLE_TOLERANCE = 1e-6  # tolerance below which rounding leaves little to be proven
+PROVABLE_TOLERANCE = 1e-5  # tolerance below which a series leaves little to be proven
+SOON = 0.5  # seconds of factorizations that auto makes without further ado
 UNEVENNESS = 0.01  # of a step: how far the times of a motion may be from equal ones
 REST_SHARE = 0.01  # of a motion's largest: where it may begin
 LARGEST_NUMBER = 1e140  # number of a motion: work takes its square
@@ -58,9 +56,9 @@ WALL = Asked(
 
 @in_parallel("pulse", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS)
 def pulse(
-    lattice: "Medium",
+    lattice: Medium,
     detectors: "ArrayLike",
-    crew: "Crew | None" = None,
+    crew: Crew | None = None,
     *,
     shape: str = option(
         "burst",
@@ -80,9 +78,9 @@ def pulse(
     points: int = option(1201, "number of times at which signals are recorded", low=2),
     method: str = option(
         "auto",
-        "laplace, with proven bounds; integrate, PETSc's TS, with estimates of its errors; auto, "
-        "what is faster",
-        choices=("laplace", "integrate", "auto"),
+        "laplace, a factorization for each point of a line; moments, one recurrence, a product of "
+        "the matrix a term, without the energy of all balls; auto, what is faster; all with bounds",
+        choices=("laplace", "moments", "auto"),
     ),
     fields: bool = option(
         False, "store the displacement of all balls at four times", key="output_fields"
@@ -92,9 +90,9 @@ def pulse(
 ) -> Signals:  # fmt: skip
     """Send a pulse through the lattice, and return the motion of balls.
 
-    m u'' + beta C u' + K u = U f_k + U' beta f_c from rest, U the wall's motion: either integrated,
-    or by the inverse Laplace transform of A(s) U(s) along sigma + i omega, S(s) A = f(s) (K. S.
-    Crump, J. ACM 23, 89 (1976)).
+    m u'' + beta C u' + K u = U f_k + U' beta f_c from rest, U the wall's motion: by the inverse
+    Laplace transform of A(s) U(s) along sigma + i omega, S(s) A = f(s) (K. S. Crump, J. ACM 23, 89
+    (1976)), each A(s) by a factorization or all by one recurrence.
 
     Examples
     --------
@@ -109,17 +107,45 @@ def pulse(
         check_times(recording)
     lowest = sent.omega if sent.shape in ("ricker", "burst") else 0.0
     driven.check_driven(lattice, crew.world, lowest, in_time=True)
+    if method != "laplace":
+        with (
+            crew.together(lattice.size > TOGETHER),
+            series_of(recording, method, crew) or contextlib.nullcontext() as series,
+        ):
+            signals = series and carry_out(series, crew, progress)
+        if series and method == "moments":
+            return signals
+        # weak signals may have bounds too large for them; a dry run has none
+        failed = series and on_root(crew.world, lambda: signals.failures * (not crew.dry))
+        if series and not failed:
+            return signals
+        if series and crew.world.rank == 0:
+            log.info(
+                "moments leave %s less accurate than asked: factored", counted(failed, "signal")
+            )
     with agreeing(crew.world):
-        task = None if method == "integrate" else PulseLine(recording)
-    if method == "auto":
-        transform, integrations = predicted_seconds(recording, len(task.omegas))
-        exact = error_tolerance < PROVABLE_TOLERANCE
-        method = "integrate" if exact or integrations < transform else "laplace"
-    if method == "integrate":
-        from pgran.experiments.pulse.integration import integrate
+        line = PulseLine(recording)
+    return carry_out(line, crew, progress)
 
-        return integrate(recording, crew, progress)
-    return carry_out(task, crew, progress)
+
+def series_of(recording, method, crew):
+    """Return the series of a recording, None where auto takes the transform. Collective."""
+    if method == "auto":
+        with agreeing(crew.world):
+            line, medium = PulseLine(recording), recording.lattice
+        seconds = len(line.omegas) * medium.elimination.seconds
+        if line.keeps_energies or seconds < SOON or recording.tolerance < PROVABLE_TOLERANCE:
+            return None
+    from pgran.driven.recurrence import NoSeriesError
+    from pgran.experiments.pulse.moments import PulseSeries
+
+    try:
+        series = PulseSeries(recording, crew.group)
+    except NoSeriesError as error:
+        if method == "auto":
+            return None
+        raise InputError(f"-pulse_method moments: no series for {error}; take laplace") from None
+    return series if method == "moments" or series.seconds < seconds else None
 
 
 def check(values, given):
@@ -137,12 +163,11 @@ def check(values, given):
 def summary(result):
     """Return in words what a run found."""
     signals, si = result.pulse, SI.of(result)
-    proven = signals.method == "laplace"
-    how = f"an integration of {signals.solves} steps and coarser ones"
-    if proven:
-        how = f"{signals.solves} points of the line sigma = {signals.sigma:.3g}, "
+    how = f"by moments, one recurrence of {signals.solves} terms"
+    if signals.method == "laplace":
+        how = f"by laplace, {signals.solves} points of the line sigma = {signals.sigma:.3g}, "
         how += counted(signals.factorizations, "factorization")
-    yield f"{len(signals.time)} times from {how}, {signals.solve_seconds:.2f} s"
+    yield f"{len(signals.time)} times {how}, {signals.solve_seconds:.2f} s"
     for d, ball in enumerate(ball_names(signals.detector)):
         yield from _summary_of_ball(signals, si, d, ball)
     front = signals.wall_arrival
@@ -157,22 +182,20 @@ def summary(result):
     line += f" +- {signals.work_estimate[-1]:.1e} (an estimate)"
     if signals.energy is not None:
         line += f", of which {signals.energy[-1]:.3g} is left in balls and springs"
-        if proven:
-            missing = np.abs(signals.work - signals.energy - signals.dissipated).max()
-            line += f"; work, energy and what damping took balance to {missing:.1e}"
+        missing = np.abs(signals.work - signals.energy - signals.dissipated).max()
+        line += f"; work, energy and what damping took balance to {missing:.1e}"
     yield line
 
 
 def _summary_of_ball(signals, si, d, ball):
     """Return in words what one detector's signal tells."""
-    proven = signals.method == "laplace"
     largest, error = np.abs(signals.displacement[:, d]).max(), signals.error[:, d].max()
     if not error <= signals.tolerance * largest:
         helps = "a smaller -error_tolerance may help"
-        helps += ", or -pulse_method integrate" * proven
+        helps += ", or -pulse_method laplace" * (signals.method == "moments")
         yield Caution(f"{ball}: not as accurate as asked: {helps}")
-    accuracy = "wrong by at most" if proven else "wrong by an estimated"
-    line = f"{ball}: largest displacement {largest:.3g}, {accuracy} {error:.1e}"
+    how = "at most" if signals.error_estimate is None else "an estimated"  # of older files
+    line = f"{ball}: largest displacement {largest:.3g}, wrong by {how} {error:.1e}"
     front, centre, decay = signals.arrival[d], signals.centre[d], signals.decay[d]
     if np.isfinite(front):
         line += f"; front at {front:.4g}{si.say('s', front)}"
@@ -229,18 +252,6 @@ def check_times(recording):
             f"-pulse_points {steps + 1}: too few for signals up to omega = {band:.3g}; record "
             f"{math.ceil(band * time / math.pi) + 1} times or more"
         )
-
-
-def predicted_seconds(recording, points):
-    """Return what the transform, with so many points, and integrations will take, by measurements.
-
-    A point costs a factorization; a step of an integration some passes over the nonzeros of K, and
-    steps are the shorter the smaller the tolerance, by a method of order 7.
-    """
-    lattice = recording.lattice
-    steps = 1.2 * recording.highest * recording.time[-1] * (1e-4 / recording.tolerance) ** 0.125
-    steps *= 8e-4 + 1.4e-7 * lattice.nonzeros
-    return points * lattice.elimination.seconds, steps
 
 
 SCENE = Scene(options_of(pulse), run_of(pulse), summary, check, shares_lattice=True, function=pulse)

@@ -81,8 +81,7 @@ class Recording:
         envelope, size = envelopes(displacement, velocity), self.sent.size
         decay, decay_error = codas(self.time, envelope, error)
         wall_arrival = float(arrivals(self.time, speed[:, None], 0 * speed[:, None])[0])
-        how = "bound" if method == "laplace" else "estimate"
-        errors = {"displacement": f"error_{how}", "velocity": f"velocity_{how}"}
+        errors = {"displacement": "error_bound", "velocity": "velocity_bound"}
         units = {"displacement": size, "velocity": size, "force": self.unit * size}
         for name, (values, wrong) in found.items():
             unit = units.get(name, self.unit * size**2)

@@ -38,15 +38,19 @@ RESOLVING_PASSES = 40
 LARGEST_DEVIATION = 0.5  # of the amplitude: lines further off than that are wrong for any use
 
 
-def choose_method(method, lattice, omegas, tolerance, fields):
+def choose_method(method, lattice, omegas, tolerance, fields, kept=False):
     """Return `points` or `curve`: what is asked for, or predicted to be cheaper."""
-    if method == "points":
-        if tolerance:
-            raise InputError("-sweep_resolve: needs models; -sweep_method curve makes them")
+    if method in ("points", "moments"):
+        if fields and method == "moments":
+            raise InputError("-sweep_method moments: no whole fields; take points")
+        for key, asked in (("sweep_resolve", tolerance), ("output_models", kept)):
+            if asked:
+                raise InputError(f"-{key}: needs models; -sweep_method curve makes them")
         return method
     why_not = _why_no_curve(lattice, omegas, fields)
-    if method == "curve" or tolerance:
-        key = "sweep_method curve" if method == "curve" else "sweep_resolve"
+    if method == "curve" or tolerance or kept:
+        forced = "sweep_resolve" if tolerance else "output_models"
+        key = "sweep_method curve" if method == "curve" else forced
         if why_not:
             raise InputError(f"-{key}: {why_not}; -sweep_method points does without")
         return "curve"

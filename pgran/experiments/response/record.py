@@ -110,7 +110,9 @@ class Response(Frequencies):
     """
 
     group = "response"
-    method: str = attribute("points, each solved for, or curve, models of intervals", since=3)
+    method: str = attribute(
+        "points, each solved for; curve, models of intervals; moments, one recurrence", since=3
+    )
     resolve: float = attribute("part of the amplitude; 0: no frequency was added", "1", since=3)
     phase_slope: np.ndarray = attribute_array("slope of the phase", "rad per omega_mx", HEARD)
     phase_slope_error: np.ndarray = attribute_array(ERROR, "rad per omega_mx", HEARD, since=3)
@@ -179,6 +181,10 @@ class Response(Frequencies):
         "1", "omega", "balls", dtype=complex, optional=True, row=True,
     )  # fmt: skip
     models: Models | None = part(Models)
+    moments: int | None = attribute(
+        "how many moments of each source gave it; 0 or none: factorizations alone",
+        optional=True,
+    )
 
     @property
     def dynamic_mass(self):

@@ -31,6 +31,7 @@ from pgran.store.record import ball_names, columns_of, row_of
 from pgran.store.si import SI
 
 MODELLED = 2  # the reason of a frequency that a model gives
+WORTH = 5.0  # seconds of a sweep from which it is said what would be quicker
 
 
 @in_parallel("sweep", shares_lattice=True, lattice=medium, detectors=drive.DETECTORS, omegas=SWEEP)
@@ -43,8 +44,9 @@ def sweep(
     method: str = option(
         "auto",
         "points, each frequency solved for; curve, models of intervals, proven between frequencies "
-        "too; auto, what is cheaper for the frequencies asked for",
-        choices=("points", "curve", "auto"),
+        "too; auto, the cheaper one of these for the frequencies asked for; moments, one "
+        "recurrence for all frequencies but those that it misses",
+        choices=("points", "curve", "moments", "auto"),
     ),
     resolve: float | None = option(
         None,
@@ -86,18 +88,23 @@ def sweep(
     steady = drive.steady(error_tolerance, error_floor, refresh_iterations)
     with agreeing(crew.world):
         task = ResponseSweep(lattice, omegas, detectors, fields, steady)
-        method = choose_method(method, task.scaled, task.omegas, resolve, fields)
+        method = choose_method(method, task.scaled, task.omegas, resolve, fields, keep_models)
     drive.check_driven(lattice, crew.world, omegas[0])
-    models = None
+    models, moments = None, None
     if method == "points":
         resolve, points = 0.0, carry_out(task, crew, progress)
+    elif method == "moments":
+        from pgran.driven.sweeps import carry_out_sweep
+
+        resolve, (points, moments) = 0.0, carry_out_sweep(task, method, crew, progress)
     else:
         resolve = LINES if resolve is None else resolve
         points, models = solve_curve(task, crew, resolve, keep_models, progress)
 
     def respond():
         seconds = time.perf_counter() - started
-        return task.response(points, models, method, resolve, phase_window, seconds)
+        more = {"models": models, "moments": moments}
+        return task.response(points, method, resolve, phase_window, seconds, **more)
 
     return on_root(crew.world, respond, keep=True)
 
@@ -117,6 +124,14 @@ class ResponseSweep(drive.FrequencySweep):
     def at(self, omegas):
         """Return the same task at other frequencies."""
         return ResponseSweep(self.lattice, omegas, self.detectors, self.fields, self.steady)
+
+    by, sources = "-sweep_method", ("the drive",)
+
+    def by_moments(self, group):
+        """Return the same by moments. Collective."""
+        from pgran.driven.moment_sweep import DriveMoments
+
+        return DriveMoments(self, group)
 
     def keep(self, point, solver):
         """See `FrequencySweep`; the field comes to the first rank of a group."""
@@ -139,7 +154,7 @@ class ResponseSweep(drive.FrequencySweep):
         rows["converged_reason"] = MODELLED
         return rows
 
-    def response(self, rows, models, method, resolve, phase_window, seconds):
+    def response(self, rows, method, resolve, phase_window, seconds, **more):
         """Return the record of all rows; straight lines were asked to be right to `resolve`."""
         columns = columns_of(Response, rows)
         omega, displacement, bound = (columns[n] for n in ("omega", "displacement", "error_bound"))
@@ -178,7 +193,7 @@ class ResponseSweep(drive.FrequencySweep):
             force_bound=force_bound,
             power=power,
             at_floor=at_floor,
-            models=models,
+            **more,
         )
 
     def driving_force(self, rows):
@@ -240,9 +255,9 @@ def check(values, given):
     if values["sweep_omega"] is not None:
         # how a file resolves its grid is not meant for the few frequencies of a later list
         listed = given["sweep_omega"].rank
-        for name, otherwise in (("sweep_method", "auto"), ("sweep_resolve", None)):
+        for name in ("sweep_method", "sweep_resolve", "output_models"):
             if name in given and given[name].rank < listed:
-                values[name] = otherwise
+                values[name] = "auto" if name == "sweep_method" else None
 
 
 def summary(result):
@@ -250,12 +265,13 @@ def summary(result):
     lattice, response, si = result.medium, result.response, SI.of(result)
     nw, asked = len(response.omega), np.count_nonzero(response.requested)
     added = f", {nw - asked} of them added to resolve the curve," if nw > asked else ""
-    yield (
-        f"{counted(nw, 'frequency')}{added} with "
-        f"{counted(response.factorizations, 'factorization')} in {response.solve_seconds:.2f} s"
-    )
+    yield f"{counted(nw, 'frequency')}{added} with {drive.work_of(response)}"
     yield from drive.reached_accuracy(response, response.converged_reason > 0)
     yield from unresolved(response, lattice.built.dissipates)
+    if response.method != "moments" and response.solve_seconds > WORTH:
+        from pgran.experiments.response.quicker import by_moments
+
+        yield from by_moments(response, lattice.built, result.attributes.get("options", ""))
     if response.method == "curve" and "-steady_ksp_" in result.attributes.get("options", ""):
         yield "the KSP solves at the ends of intervals; by -sweep_method points at each frequency"
     window = response.phase_fit_min, response.phase_fit_max
@@ -283,8 +299,8 @@ def unresolved(response, damped):
         )
     if places.size:
         first = places[0]
-        helps = damped and response.method == "points"
-        hint = "; -sweep_method curve resolves it" if helps else ""
+        helps = {"points": "-sweep_method curve resolves it", "moments": "take more -sweep_points"}
+        hint = f"; {helps[response.method]}" if damped and response.method in helps else ""
         yield Caution(
             f"the curve is not resolved between {omega[first]:.6g} and {omega[first + 1]:.6g}"
             f"{and_more(places.size - 1)}{hint}"

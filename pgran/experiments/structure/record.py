@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.record import Frequencies, array, error_of
+from pgran.store.record import Frequencies, array, attribute, error_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,6 +41,12 @@ class Structure(Frequencies):
     )
     ioffe_regel: np.ndarray = array(
         "Omega where pi scattering = Omega; NaN: not known", "sqrt(k/m)", "branch"
+    )
+
+    moments: int | None = attribute(
+        "how many moments of each source gave it, with dashpots and without; 0 or none: "
+        "factorizations alone",
+        optional=True,
     )
 
     def _branch(self, name):

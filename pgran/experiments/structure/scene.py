@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgran.driven.drive import STEADY, UNSTABLE, PatternSweep, is_unstable
+from pgran.driven.drive import STEADY, UNSTABLE, is_unstable, work_of
+from pgran.driven.sweeps import METHOD, PatternSweep, carry_out_sweep
 from pgran.errors import InputError
 from pgran.experiments.structure.record import Structure
 from pgran.medium.base import EPSILON, medium, warn_above_modes
@@ -36,7 +37,6 @@ from pgran.run.experiment import (
 from pgran.run.frequencies import SWEEP, check_sweep
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, REAL, Option
-from pgran.run.task import carry_out
 from pgran.store.estimate import Estimate, counted, with_error, with_errors
 from pgran.store.record import columns_of, row_of
 from pgran.store.si import SI
@@ -78,6 +78,7 @@ def structure(
         "twice the distance of neighbouring frequencies; 0: width by dashpots alone, one sweep",
         "angular", kind=REAL, low=0,
     ),
+    method: str = METHOD,
     error_tolerance: float = STEADY["error_tolerance"],
     progress: str = PROGRESS,
 ) -> Structure:  # fmt: skip
@@ -119,12 +120,14 @@ def structure(
     warn_above_modes(lattice, crew.world, omegas[0])
     if is_unstable(lattice, crew.world) and crew.world.rank == 0:
         log.warning("%s: motions that would grow have no place in structure factors", UNSTABLE)
-    swept = elastic = carry_out(task, crew, progress)
+    swept, moments = carry_out_sweep(task, method, crew, progress)
+    elastic = swept
     if lattice.dissipates and np.all(width):
-        elastic = carry_out(task.without_dashpots(), crew, progress)
-
+        undamped = task.without_dashpots()
+        elastic, more = carry_out_sweep(undamped, method, crew, progress)
+        moments += more
     seconds = time.perf_counter() - started
-    return on_root(crew.world, lambda: task.record(swept, elastic, seconds), keep=True)
+    return on_root(crew.world, lambda: task.record(swept, elastic, moments, seconds), keep=True)
 
 
 class Spectra(PatternSweep):
@@ -133,12 +136,14 @@ class Spectra(PatternSweep):
     `waves` are those that fit into the medium.
     """
 
+    by = "-structure_method"
+
     def __init__(self, lattice, omegas, sigma, waves, groups, choices):
         self.waves, self.groups = waves, groups
         self.shape = len(waves.branches), len(groups)
         row = row_of(Structure, branch=self.shape[:1], q=self.shape[1:])
         super().__init__(lattice, omegas, None, row, choices, sigma)
-        self.patterns, self.places = waves.patterns(groups)
+        self.sources, self.places = waves.patterns(groups)
 
     def without_dashpots(self):
         """Return the same task for the medium without damping."""
@@ -148,7 +153,7 @@ class Spectra(PatternSweep):
 
     def keep(self, point, solver):
         """See `PatternSweep`."""
-        s, (G, bounds) = solver.operators.s, solver.diagonal(self.patterns)
+        s, (G, bounds) = solver.s, solver.diagonal(self.sources)
         bounds = bounds + (len(G) + 8) * EPSILON * np.abs(G)  # what follows is rounded, too
         # Re(s G), of the velocity that a force makes, is -omega Im G at s = i omega
         scale = 2 * self.scaled.mass / np.pi
@@ -160,15 +165,22 @@ class Spectra(PatternSweep):
         """Return the sums of the patterns' numbers over each branch and wave number."""
         return np.bincount(self.places, numbers, np.prod(self.shape)).reshape(self.shape)
 
-    def record(self, swept, elastic, seconds):
+    def record(self, swept, elastic, moments, seconds):
         """Return the record of the rows with dashpots and without, which may be the same."""
         sweeps = [swept] if elastic is swept else [swept, elastic]
         columns = columns_of(Structure, swept)
         columns["converged_reason"] = np.min([rows["converged_reason"] for rows in sweeps], axis=0)
+        # of those of moments NaN
+        columns["backward_error"] = np.fmax.reduce([rows["backward_error"] for rows in sweeps])
         frequency, width = self._oscillators(swept)
         _, scattering = self._oscillators(elastic)
         lattice, waves = self.lattice, self.waves
-        power = lattice.springs.damped @ (lattice.springs.B @ self.patterns.T) ** 2  # f^T B^T d B f
+        fields = self.sources.reshape(-1, *lattice.shape)
+        stretched = zip(
+            lattice.stretch(fields), lattice.blocks(lattice.damped_springs), strict=True
+        )
+        # f^T B^T d B f
+        power = sum(np.sum((d * b**2).reshape(len(b), -1), axis=1) for b, d in stretched)
         dashpots = self._summed(power) * lattice.damping / lattice.mass
         limits = zip(frequency.value, scattering.value, strict=True)
         return Structure(
@@ -176,13 +188,14 @@ class Spectra(PatternSweep):
             **with_errors(frequency=frequency, width=width, scattering=scattering),
             factorizations=sum(int(rows["factorizations"].sum()) for rows in sweeps),
             solve_seconds=seconds,
+            moments=moments,
             omega=self.omegas,
             resolution=self.s.real,
             branch=np.array(waves.branches),
             q=np.array([waves.magnitude(group[0]) for group in self.groups]),
             wavevector=np.array([waves.unit * group[0] for group in self.groups]),
             directions=np.array([len(group) for group in self.groups]),
-            dashpots=dashpots + self._summed(lattice.other_widths(self.patterns)),
+            dashpots=dashpots + self._summed(lattice.other_widths(self.sources)),
             ioffe_regel=np.array([ioffe_regel(*branch)[0] for branch in limits]),
         )
 
@@ -263,9 +276,8 @@ def ioffe_regel(frequency, width):
 def summary(result):
     """Yield in words what a run found."""
     record, medium, si = result.structure, result.medium, SI.of(result)
-    work = f"{counted(len(record.omega), 'frequency')} with "
-    work += counted(record.factorizations, "factorization")
-    yield f"{counted(len(record.q), 'wave number')} at {work} in {record.solve_seconds:.2f} s"
+    work = f"{counted(len(record.omega), 'frequency')} with {work_of(record)}"
+    yield f"{counted(len(record.q), 'wave number')} at {work}"
     yield Caution(record.exactness()) if record.failures else record.exactness()
     missing, coarse = np.count_nonzero(np.isnan(record.frequency)), np.count_nonzero(record.coarse)
     total = record.frequency.size
