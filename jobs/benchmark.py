@@ -87,10 +87,10 @@ def of_amplitudes(peer, own):
     return apart(peer, own.displacement[:, 0])
 
 
-def of_curves(points, curve):
-    """Return the same at the frequencies that both have."""
+def of_curves(points, curve, name="displacement"):
+    """Return the same of what has a name, at the frequencies that both have."""
     _, first, second = np.intersect1d(points.omega, curve.omega, return_indices=True)
-    return apart(points.displacement[first], curve.displacement[second])
+    return apart(getattr(points, name)[first], getattr(curve, name)[second])
 
 
 def of_modes(peer, own):
@@ -116,12 +116,6 @@ def of_damped_modes(peer, own):
     if len(peer) > len(own.eigenvalue):
         return max(np.min(np.abs(peer - s)) / abs(s) for s in own.eigenvalue)
     return max(np.min(np.abs(own.eigenvalue - s)) / abs(s) for s in peer[: len(peer) // 2])
-
-
-def of_waves(factored, own):
-    """Return the same of structure factors at the frequencies that both have."""
-    _, first, second = np.intersect1d(factored.omega, own.omega, return_indices=True)
-    return apart(factored.structure_factor[first], own.structure_factor[second])
 
 
 def of_largest(reference, found):
@@ -300,7 +294,7 @@ def structure(balls, axes, displacement, timed, damping=0.0, repeats=3):
     return Pair(
         partial(by_pgran(pgran.structure, medium, 2, some, method="factor", **chosen), ALONE),
         by_pgran(pgran.structure, medium, 2, omegas, method="moments", **chosen),
-        of_waves,
+        partial(of_curves, name="structure_factor"),
         (len(some) / len(omegas), 1),
         repeats=repeats,
     )

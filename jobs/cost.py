@@ -6,14 +6,12 @@ One wave of square and cubic lattices at 120 frequencies, on one rank. Of factor
 timed, and only where balls are not too many for these. A minute of one core, and 4 GB.
 """
 
-import io
 import itertools
 import sys
 import time
 
 import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image
 
 import pgran
 
@@ -44,17 +42,12 @@ def main(path, most=BALLS[-1]):
         found = [seconds(balls, axes, method) for balls in BALLS if balls <= largest]
         for size, took in found:
             print(f"| {axes}D | {method} | {size} | {took:.2g} |", flush=True)
-        label = f"{axes}D, {'factorizations' if method == 'factor' else 'moments'}"
-        ax.loglog(
-            *zip(*found, strict=True), LOOKS[method], c=COLOURS[axes], marker="o", label=label
-        )
+        look = {"linestyle": LOOKS[method], "color": COLOURS[axes], "label": f"{axes}D, {method}"}
+        ax.loglog(*zip(*found, strict=True), marker="o", **look)
     ax.set(xlabel="balls", ylabel="seconds for 120 frequencies")
     ax.set_ylim(top=50 * ax.get_ylim()[1])  # room for the legend
     ax.legend(loc="upper left", ncols=2)
-    drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=150)
-    # below 80 kB by few colours
-    Image.open(drawn).convert("RGB").quantize(128).save(path, optimize=True)
+    figure.savefig(path, dpi=150)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import pytest
 
 HOUSE = Path(__file__).parents[1]
 BUDGETS = {  # lines of Python, docstrings and blank ones too
-    "pgran": 33740,
+    "pgran": 33730,
     "pgran/*.py": 650,
     "pgran/run": 2220,
     "pgran/command": 2650,
@@ -27,7 +27,7 @@ BUDGETS = {  # lines of Python, docstrings and blank ones too
     "pgran/experiments/response": 1780,
     "pgran/experiments/sensitivity": 2240,
     "pgran/experiments/structure": 500,
-    "tests": 25310,
+    "tests": 25330,
 }
 
 

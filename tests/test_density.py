@@ -246,5 +246,7 @@ def test_words_of_estimates():
     ):
         shown.density = dataclasses.replace(found, **changes)
         assert any(words in line for line in density.summary(shown))
+    with pytest.raises(pgran.InputError, match=r"so close take 2e\+0. moments, of 1000000 at most"):
+        pgran.count_modes(lattice, [0.3, 0.3 + 1e-8], **MOMENTS)
     with pytest.raises(pgran.InputError, match=r"diffusivity z: .*; take x or y"):
         pgran.count_modes(lattice, [0.1, 0.2], diffusivity="z", **MOMENTS)

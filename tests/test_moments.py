@@ -120,6 +120,15 @@ def test_parts_of_unlike_series_do_not_fit_together(monkeypatch):
         green("moments")
 
 
+def test_groups_that_round_differently_choose_alike(monkeypatch, world):
+    needed, rank = moment_sweep.needed_moments, world.rank
+    monkeypatch.setattr(moment_sweep, "needed_moments", lambda *of: needed(*of) / (1 + 9 * rank))
+    with Crew(world, 1) as crew:
+        found = world.bcast(green("moments", crew=crew))
+    assert found.moments > 0
+    assert np.all(apart(found, green("factor")) <= 1)
+
+
 def test_readings_that_fill_the_memory_are_refused(monkeypatch):
     monkeypatch.setattr(moment_sweep, "LARGEST", 1000)
     with pytest.raises(InputError, match="moments, of 31 at most; take auto"):
@@ -147,6 +156,22 @@ REFUSED = [
 def test_what_has_no_series_is_refused(medium, changes, said):
     with pytest.raises(InputError, match=f"-green_method moments: .*{said}.*; take auto"):
         green("moments", dataclasses.replace(medium, **changes))
+
+
+def test_where_no_spring_is_stiff_all_that_moments_give_is_refused():
+    limp, chosen = uniform_lattice((6, 5), 0.0), {"method": "moments"}
+    with pytest.raises(InputError, match="method moments: no spring is stiff; take count"):
+        pgran.count_modes(limp, OMEGA, **chosen)
+    with pytest.raises(InputError, match="without stiff springs; take laplace"):
+        pgran.pulse(limp, [(1, 1)], time=300.0, **chosen)
+
+
+@pytest.mark.filterwarnings("error")
+def test_terms_so_many_that_their_weights_vanish():
+    """Next to a frequency that takes many moments one that takes few; nothing is said of it."""
+    found = pgran.structure(LATTICE.undamped(), 2, [0.3, 9.0], width=0.02, method="moments")
+    assert not found.factorizations
+    assert np.all(np.isfinite(found.error_bound))
 
 
 def test_a_dashpot_without_a_spring_is_no_function_of_the_stiffness():

@@ -15,7 +15,8 @@ from pgran.driven.operators import SAME, NetworkLayout, Owner
 from pgran.medium.springs import norm_of
 from pgran.run.petsc import PETSc, logged
 
-SLOW_SECONDS = 0.05  # of a lattice's factorization, from which on SuperLU is faster
+# Seconds of a factorization of squares and cubes, from which on SuperLU is faster.
+SLOW_SECONDS = 0.015
 TRIED_PARTS = (0.9, 0.5, 0.1, 0.01)  # of an estimate of the smallest eigenvalue that are tried
 MOST_STEPS = 20  # of inverse iteration at most
 CONVERGED_PART = 0.99  # of the last quotient: what lowers it less has come near enough
@@ -142,7 +143,8 @@ class ModeCounter(Owner):
         self._rhs.setArray(np.random.Generator(np.random.Philox(1)).standard_normal(self.order))
         self.costly = elimination.costly
         chosen = PETSc.Options("normal_count_").hasName("pc_type")
-        slow = self.costly or (lattice.is_grid and elimination.seconds > SLOW_SECONDS)
+        slow = lattice.is_grid and lattice.axes > 1 and elimination.seconds > SLOW_SECONDS
+        slow = slow or self.costly
         self._factor = self._by_superlu if slow and not chosen else self._by_petsc
         self._pc = PETSc.PC().create(K.getComm())
         self._pc.setOptionsPrefix("normal_count_")

@@ -61,9 +61,7 @@ class Ellipse:
 
     def rates(self, s):
         """Return how fast the series falls at each s, the logarithm of a term's ratio."""
-        w = (s - self.centre) / (1j * self.kappa)
-        rho = np.abs(np.sqrt((w + 1) / 2) + np.sqrt((w - 1) / 2))
-        return 2 * np.log(np.maximum(rho, 1 / rho)) - math.log(self.rho0)
+        return _rates(s, self.centre, self.a, self.b)
 
     def _axes(self, at):
         """Return centre and axes of an ellipse that holds the range, one for each pair of reals."""
@@ -81,12 +79,15 @@ class Ellipse:
     def _slowest(self, at):
         """Return minus the rate at which the series falls at the worst s."""
         centre, a, b = self._axes(at)
-        if a >= b:
-            return WORST
-        kappa = math.sqrt((b - a) * (b + a))
-        w = (self.s - centre) / (1j * kappa)
-        rho = np.abs(np.sqrt((w + 1) / 2) + np.sqrt((w - 1) / 2))
-        return math.log((a + b) / kappa) - 2 * np.min(np.log(np.maximum(rho, 1 / rho)))
+        return -np.min(_rates(self.s, centre, a, b)) if a < b else WORST
+
+
+def _rates(s, centre, a, b):
+    """Return how fast the series of an ellipse falls at each s."""
+    kappa = math.sqrt((b - a) * (b + a))
+    w = (s - centre) / (1j * kappa)
+    rho = np.abs(np.sqrt((w + 1) / 2) + np.sqrt((w - 1) / 2))
+    return 2 * np.log(np.maximum(rho, 1 / rho)) - math.log((a + b) / kappa)
 
 
 def _cap(start, reach, inside, rest):

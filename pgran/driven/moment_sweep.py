@@ -22,13 +22,17 @@ SERIES = 3  # the reason of a frequency that a series gives
 
 def series_of(rows, medium, s):
     """Return what gives values of a medium at some s. Collective; raises NoSeriesError."""
-    if not medium.constants.any():
-        raise NoSeriesError("a medium without stiff springs")
     if law := law_of(medium):
         return Chebyshev(rows, medium, law, s)
     from pgran.driven.ellipse import Faber
 
     return Faber(rows, medium, s)
+
+
+def needed_moments(rates, tolerance):
+    """Return how many moments frequencies take at which a series falls at some rates."""
+    rates = np.maximum(rates, 1e-99)
+    return np.log(MARGIN / tolerance / np.minimum(rates, 1.0)) / rates
 
 
 class MomentSweep(Owner, Task):
@@ -44,23 +48,21 @@ class MomentSweep(Owner, Task):
         self.sweep, self.comm, self.series, self.heard = sweep, comm, series, max(heard, 1)
         self.units, self.doubling = range(sources), 1 if heard else series.doubling
 
-    def choose(self, method):
+    def choose(self, method, world):
         """Choose frequencies, all that a series reaches or by `auto` what is quickest in all.
 
-        Return whether there are any. Collective.
+        Return whether there are any, alike on all groups of `world`. Collective over that.
         """
-        rates = self.comm.bcast(np.maximum(self.series.rates, 1e-99))
-        tolerance = self.sweep.choices["error_tolerance"]
-        needed = np.log(MARGIN / tolerance / np.minimum(rates, 1.0)) / rates
-        size = 8 * self.heard * len(self.units)
-        reached = np.sort(needed[needed <= min(MOST, LARGEST / size)])
+        needed = needed_moments(self.series.rates, self.sweep.choices["error_tolerance"])
+        needed = world.bcast(needed)
+        most = min(MOST, LARGEST // (8 * self.heard * len(self.units)))
+        reached = np.sort(needed[needed <= most])
         if method == "auto":  # none, or so many of the nearest ones
             seconds = np.append(0.0, SETUP + reached * self.seconds_of_term())
             solved = len(needed) - np.arange(len(seconds))
             seconds += solved * self.sweep.scaled.elimination.seconds
             reached = reached[: np.argmin(seconds)]
         elif not reached.size:
-            most = min(MOST, LARGEST // size)
             raise NoSeriesError(
                 f"any frequency, as the nearest takes {needed.min():.2g} moments, of {most} at most"
             )
@@ -70,12 +72,9 @@ class MomentSweep(Owner, Task):
         self.items = f"source{'s' * (len(self.units) > 1)} of {self.count} moments"
         self.chosen = np.flatnonzero(needed <= reached[-1])
         terms = self.count // self.doubling + self.doubling - 1
-        row = [
-            ("made", float, len(self.series.made)),
-            ("readings", float, (terms, self.heard)),
-            ("norms", float, (terms, self.series.parts)),
-        ]
-        self.row = np.dtype(row)
+        made = "made", float, len(self.series.made)
+        norms = "norms", float, (terms, self.series.parts)
+        self.row = np.dtype([made, ("readings", float, (terms, self.heard)), norms])
         return True
 
     def blank(self, unit):

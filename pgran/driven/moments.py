@@ -99,12 +99,8 @@ class Chebyshev(Series):
         errors[1::2] = 2 * (n1 * e0 + n0 * e1 + e0 * e1) + 2 * self.dot * n0 * n1 + first
         errors += 4 * U * np.abs(moments)
         moments[:2], errors[:2] = (square, crossed[0]), (self.dot * square, first)
-        astray, unknown, none = (
-            self.known * square,
-            np.full(len(moments), math.inf),
-            np.zeros(len(moments)),
-        )
-        return Terms(moments[:, None], unknown, errors, none, square, astray, np.ones(1), 0.0)
+        astray, none = self.known * square, np.zeros(len(moments))
+        return Terms(moments[:, None], None, errors, none, square, astray, np.ones(1), 0.0)
 
     def at(self, s, count):
         """Let values be at an s, by so many moments."""

@@ -35,11 +35,16 @@ def compounded(n):
 
 
 class Rows(Owner):
-    """This rank's rows of matrices B^T diag(k) B; destroy with `destroy` or `with`. Collective."""
+    """This rank's rows of matrices B^T diag(k) B; destroy with `destroy` or `with`. Collective.
+
+    Raises a NoSeriesError where no spring is stiff.
+    """
 
     owns = ("_forest", "layout")
 
     def __init__(self, medium, comm):
+        if not medium.constants.any():
+            raise NoSeriesError("a medium without stiff springs")
         self.comm = comm
         layout = self.layout = (SlabLayout if medium.is_grid else NetworkLayout)(medium, comm)
         first, last = layout.first, layout.last

@@ -35,7 +35,7 @@ class Terms(NamedTuple):
     """What is known of the terms of a source, for any s."""
 
     readings: np.ndarray  # (count, receivers)
-    eps: np.ndarray  # (count,)
+    eps: np.ndarray | None  # (count,); None where receivers are the source: `lost` alone counts
     lost: np.ndarray  # how wrong each term is
     missed: np.ndarray  # how wrong each reading is beside that, |e| = 1
     size: float  # no less than |f|
@@ -108,7 +108,9 @@ class Series:
     def values(self, terms):
         """Return what receivers read of S^-1 f, or of a motion, and bounds of the errors."""
         value, rounded = self.summed(terms.readings, terms.at)
-        wrong = np.fmin(self.magnitudes @ terms.lost, self.sharp @ terms.eps)
+        wrong = self.magnitudes @ terms.lost
+        if terms.eps is not None:
+            wrong = min(wrong, self.sharp @ terms.eps)
         wrong = 1.001 * (wrong + self.magnitudes @ terms.missed)
         wrong += (self.left + self.shifted) * terms.size + self.spread * terms.astray
         bound = wrong * terms.sizes + rounded

@@ -27,7 +27,7 @@ def carry_out_sweep(sweep, method, crew, progress):
     # several sources share out the ranks, one alone takes them all
     least = TOGETHER if len(sweep.sources) >= crew.groups else FEW
     with crew.together(sweep.scaled.size > least), contextlib.ExitStack() as held:
-        task = None if method == "factor" else _chosen(sweep, method, crew.group, held)
+        task = None if method == "factor" else _chosen(sweep, method, crew, held)
         rows = None if task is None else carry_out(task, crew, progress)
     if task is None:
         return carry_out(sweep, crew, progress), 0
@@ -39,13 +39,13 @@ def carry_out_sweep(sweep, method, crew, progress):
     return rows, task.count
 
 
-def _chosen(sweep, method, group, held):
+def _chosen(sweep, method, crew, held):
     """Return a sweep by moments, which `held` destroys, None where auto takes none. Collective."""
     from pgran.driven.recurrence import NoSeriesError
 
     try:
-        task = held.enter_context(sweep.by_moments(group))
-        return task if task.choose(method) else None
+        task = held.enter_context(sweep.by_moments(crew.group))
+        return task if task.choose(method, crew.world) else None
     except NoSeriesError as error:
         if method == "moments":
             raise InputError(f"{sweep.by} moments: no series for {error}; take auto") from None

@@ -44,7 +44,7 @@ SHARED_ABOVE = {1: 10**7, 2: 100_000, 3: 20_000}
 PETSC_FACTORS = {1: 10**7, 2: 200_000, 3: 8_000}
 MINIMUM_DEGREE, ELONGATED = {1: 10**7, 2: 2500, 3: 0}, 4
 # Seconds of a factorization: the first times a power of the balls, that of nested dissection.
-SECONDS = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}
+SECONDS = {1: (1.5e-6, 1.0), 2: (8e-9, 1.5), 3: (7e-10, 2.0)}
 
 
 @called_right

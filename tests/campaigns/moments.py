@@ -91,23 +91,19 @@ def faults(seed, seen, tightness):
     except InputError as refused:  # a law without any stiffness
         seen[str(refused)] += 1
         return
-    size, reference = (
-        medium.size,
-        NetworkReference(as_network(medium) if medium.is_grid else medium),
-    )
+    size = medium.size
+    reference = NetworkReference(as_network(medium) if medium.is_grid else medium)
     patterns = rng.standard_normal((3, size))
     patterns[rng.random(3) < 0.5] = np.eye(size)[rng.integers(size)]
     top = np.sqrt(np.abs(reference.eigenvalues()).max() / medium.mass)
     sigma = 0.0 if rng.random() < 0.4 else 10 ** rng.uniform(-3, -0.3)
-    omega = (
-        0.0
-        if sigma and rng.random() < 0.1
-        else 10 ** rng.uniform(-1, rng.choice([0.3, 6.0], p=[0.9, 0.1]))
-    )
+    omega = 10 ** rng.uniform(-1, rng.choice([0.3, 6.0], p=[0.9, 0.1]))
+    if sigma and rng.random() < 0.1:
+        omega = 0.0
     s = complex(top * sigma, top * omega)
     with contextlib.ExitStack() as held:
-        rows = held.enter_context(Rows(medium, MPI.COMM_SELF))
         try:
+            rows = held.enter_context(Rows(medium, MPI.COMM_SELF))
             series = series_of(rows, medium, np.array([s]))
         except NoSeriesError as refused:
             seen[str(refused)] += 1

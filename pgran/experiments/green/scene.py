@@ -1,16 +1,17 @@
 """Scene `green`: how far a unit force on one ball moves another, and local densities of states."""
 
 import time
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.driven.amplitudes import below_relative_accuracy, is_accurate
 from pgran.driven.drive import STEADY, reached_accuracy, work_of
 from pgran.driven.sweeps import METHOD, PatternSweep, carry_out_sweep
 from pgran.experiments.green.record import Green
-from pgran.medium.base import ALONG, EPSILON, medium, warn_above_modes
+from pgran.medium.base import ALONG, EPSILON, Medium, medium, warn_above_modes
 from pgran.run.agreement import agreeing, on_root
+from pgran.run.crew import Crew
 from pgran.run.experiment import (
     PROGRESS,
     Asked,
@@ -27,12 +28,6 @@ from pgran.run.options import INTEGERS, Option
 from pgran.store.estimate import counted
 from pgran.store.record import ball_names, columns_of, row_of
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.medium.base import Medium
-    from pgran.run.crew import Crew
-
 GOOD, MISSED = 1, 0  # reasons of frequencies
 BYTES = 200  # of an unknown under each pattern, while a frequency is solved
 BALLS = {"kind": INTEGERS, "low": 0, "high": 2**63 - 1}
@@ -48,13 +43,13 @@ SOURCES = Option(
     direction=lambda direction: direction,  # in words or components, as `along` has it
 )  # fmt: skip
 def green(
-    lattice: "Medium",
+    lattice: Medium,
     omegas: "ArrayLike",
     sources: "ArrayLike",
     receivers: "ArrayLike | None" = option(
         None, "balls that are heard; by default those pushed", **BALLS
     ),
-    crew: "Crew | None" = None,
+    crew: Crew | None = None,
     *,
     direction: "str | ArrayLike" = option(
         "drive", f"of networks with vectors: how balls are pushed and heard: {ALONG}"

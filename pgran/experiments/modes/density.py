@@ -3,26 +3,21 @@
 import contextlib
 import math
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.errors import InputError
 from pgran.experiments.modes.density_options import BY_MOMENTS
 from pgran.experiments.modes.record import Density
-from pgran.medium.base import AXES, check_frequency, medium
+from pgran.medium.base import AXES, Medium, check_frequency, medium
+from pgran.run.crew import Crew
 from pgran.run.experiment import PROGRESS, Caution, in_parallel
 from pgran.run.numbers import numbers
 from pgran.run.task import Task, carry_out
 from pgran.store.estimate import with_error
 from pgran.store.record import columns_of, row_of
 from pgran.store.si import SI
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.medium.base import Medium
-    from pgran.run.crew import Crew
 
 # In mean distances of eigenvalues: how far a count stays clear of them; the second where rounding
 # is larger than the first, the others, down to MARGIN of |K|, where one is closer.
@@ -44,9 +39,9 @@ def frequencies(options, lattice):
 
 @in_parallel(shares_lattice=True, solver=False, lattice=medium, omegas=partial(numbers, "omegas"))
 def count_modes(
-    lattice: "Medium",
+    lattice: Medium,
     omegas: "ArrayLike",
-    crew: "Crew | None" = None,
+    crew: Crew | None = None,
     *,
     method: str = BY_MOMENTS["method"],
     vectors: int = BY_MOMENTS["vectors"],
@@ -92,8 +87,9 @@ def count_modes(
     from pgran.driven.drive import TOGETHER
     from pgran.experiments.modes.density_moments import Traces
 
+    if not lattice.constants.any():
+        raise InputError("-modes_density_method moments: no spring is stiff; take count")
     axis = None if diffusivity == "none" else place_of(lattice, diffusivity)
-    moments = moments and 2 * (moments // 2)
     together = crew.together(lattice.size > TOGETHER)
     with together, Traces(lattice, omegas, crew.group, vectors, moments, axis) as traces:
         return carry_out(traces, crew, progress)

@@ -27,6 +27,8 @@ import numpy as np
 from pgran.driven.moments import Chebyshev
 from pgran.driven.operators import Owner
 from pgran.driven.recurrence import Rows
+from pgran.errors import InputError
+from pgran.experiments.modes.density_options import MOST
 from pgran.experiments.modes.record import Density
 from pgran.medium.base import AXES
 from pgran.run.task import Task
@@ -50,8 +52,13 @@ class Traces(Owner, Task):
         self.layout = self.matrices.layout
         self.series = series = Chebyshev(self.matrices, self.scaled, (0.0, 0.0, 0.0), ())
         highest = math.sqrt(4 / (series.a * self.scaled.mass))
-        apart = np.mean(np.diff(omegas))
-        self.count = moments or 2 * math.ceil(math.pi * highest / (4 * SHARP * apart))
+        needed = math.pi * highest / (2 * SHARP * np.mean(np.diff(omegas)))
+        if moments is None and needed > MOST:
+            raise InputError(
+                f"-modes_density: frequencies so close take {needed:.1g} moments, of {MOST} at "
+                "most: take fewer, or -modes_density_moments, which smooths more"
+            )
+        self.count = 2 * (moments // 2) if moments else 2 * math.ceil(needed / 2)
         self.middle = 0.5 * (omegas[1:] + omegas[:-1])
         self.units, self.items = range(vectors), f"vectors of {self.count} moments"
         spread = 2 * len(self.middle) if axis is not None else 0

@@ -2,6 +2,7 @@
 
 from pgran.run.options import INTEGER, TEXT, Option
 
+MOST = 10**6  # moments
 DENSITY = Option(
     "modes_density", INTEGER, None,
     "count the modes below so many frequencies, instead of finding them, from "
@@ -23,7 +24,7 @@ BY_MOMENTS = {
         "modes_density_moments", INTEGER, None,
         "of each vector; by default so many that counts are smoothed by a tenth of the distance of "
         "frequencies",
-        low=4, high=10**6,
+        low=4, high=MOST,
     ),
     "diffusivity": Option(
         "modes_density_diffusivity", TEXT, "none",

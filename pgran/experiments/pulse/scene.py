@@ -1,6 +1,5 @@
 """Scene `pulse`: the wall moves as it likes, and balls are listened to in time."""
 
-import contextlib
 import math
 from functools import partial
 
@@ -108,21 +107,19 @@ def pulse(
     lowest = sent.omega if sent.shape in ("ricker", "burst") else 0.0
     driven.check_driven(lattice, crew.world, lowest, in_time=True)
     if method != "laplace":
-        with (
-            crew.together(lattice.size > TOGETHER),
-            series_of(recording, method, crew) or contextlib.nullcontext() as series,
-        ):
-            signals = series and carry_out(series, crew, progress)
-        if series and method == "moments":
-            return signals
-        # weak signals may have bounds too large for them; a dry run has none
-        failed = series and on_root(crew.world, lambda: signals.failures * (not crew.dry))
-        if series and not failed:
-            return signals
-        if series and crew.world.rank == 0:
-            log.info(
-                "moments leave %s less accurate than asked: factored", counted(failed, "signal")
-            )
+        with crew.together(lattice.size > TOGETHER):
+            series = series_of(recording, method, crew)
+            if series is not None:
+                with series:
+                    signals = carry_out(series, crew, progress)
+        if series is not None:
+            # weak signals may have bounds too large for them; a dry run has none
+            failed = on_root(crew.world, lambda: 0 if crew.dry else signals.failures)
+            if not failed or method == "moments":
+                return signals
+            missed = counted(failed, "signal")
+            if crew.world.rank == 0:
+                log.info("moments leave %s less accurate than asked: factored", missed)
     with agreeing(crew.world):
         line = PulseLine(recording)
     return carry_out(line, crew, progress)
@@ -145,7 +142,10 @@ def series_of(recording, method, crew):
         if method == "auto":
             return None
         raise InputError(f"-pulse_method moments: no series for {error}; take laplace") from None
-    return series if method == "moments" or series.seconds < seconds else None
+    if method == "moments" or series.seconds < seconds:
+        return series
+    series.destroy()
+    return None
 
 
 def check(values, given):

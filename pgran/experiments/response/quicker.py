@@ -31,8 +31,8 @@ def by_moments(response, lattice, options):
     except recurrence.NoSeriesError:
         return
     tolerance = options_in(options).get("error_tolerance", STEADY["error_tolerance"].default)
-    rates, tolerance = np.maximum(about.rates(1j * omega), 1e-200), float(tolerance)
-    needed = np.log(moment_sweep.MARGIN / tolerance / np.minimum(rates, 1.0)) / rates
+    tolerance = float(tolerance)
+    needed = moment_sweep.needed_moments(about.rates(1j * omega), tolerance)
     needed[needed > moment_sweep.MOST] = np.inf
     # H has K, C, and three diagonals
     parts = 2 * medium.size, 2 * medium.nonzeros + 3 * medium.size, 1

@@ -13,17 +13,18 @@ import logging
 import math
 import time
 import warnings
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgran.driven.drive import STEADY, UNSTABLE, is_unstable, work_of
 from pgran.driven.sweeps import METHOD, PatternSweep, carry_out_sweep
 from pgran.errors import InputError
 from pgran.experiments.structure.record import Structure
-from pgran.medium.base import EPSILON, medium, warn_above_modes
+from pgran.medium.base import EPSILON, Medium, medium, warn_above_modes
 from pgran.medium.waves import Waves
 from pgran.run.agreement import agreeing, on_root
+from pgran.run.crew import Crew
 from pgran.run.experiment import (
     PROGRESS,
     Asked,
@@ -41,12 +42,6 @@ from pgran.store.estimate import Estimate, counted, with_error, with_errors
 from pgran.store.record import columns_of, row_of
 from pgran.store.si import SI
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from pgran.medium.base import Medium
-    from pgran.run.crew import Crew
-
 log = logging.getLogger("pgran")
 FEWEST = 6  # points that a fit takes
 COUNT = Option(
@@ -63,10 +58,10 @@ WAVEVECTORS = Asked(
     "structure", shares_lattice=True, lattice=medium, wavevectors=WAVEVECTORS, omegas=SWEEP
 )
 def structure(
-    lattice: "Medium",
+    lattice: Medium,
     wavevectors: "int | ArrayLike",
     omegas: "ArrayLike",
-    crew: "Crew | None" = None,
+    crew: Crew | None = None,
     *,
     direction: str = option(
         "all", "an axis that waves run along; all, with the diagonals of periodic ones",
