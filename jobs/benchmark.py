@@ -362,7 +362,27 @@ def wall(balls, axes, damping, low, high, count, timed):
     )
 
 
+def loud(balls, integrated=False):
+    """Compare the motion that opens 1 % of contacts with that in time, or with the linear one."""
+    shape = (2, 1, 1) if balls < 200 else None
+    chosen = {"law": "hertz", "pressure": 1e-4, "walls": "x", "seed": 1, "sizes": 0.1}
+    network = pgran.pack(balls, dimension=3, shape=shape, **chosen)
+    omega, site = 0.2 * network.omega_mx, (int(network.free[len(network.free) // 2]),)
+    damping = float(network.stiffness.mean() / (10 * omega))
+    chosen = {"damping": damping, "damping_power": 1.0, "damped": "normal"}
+    network = dataclasses.replace(network, **chosen)
+    linear = by_pgran(pgran.sweep, network, [omega], site, method="points")
+    amplitude = float(linear(ALONE).opening_part[0, 1])
+    chosen = {"stability": False, "reach": 0.0, "error_tolerance": LOUD}
+    own = by_pgran(pgran.loud, network, [omega], site, [amplitude], group=None, **chosen)
+    if not integrated:  # the linear motion is another: what pgran says of its own error
+        return Pair(partial(linear, ALONE), own, lambda _, o: o.harmonic_error.max() / amplitude)
+    settled = partial(Peer(network, site).settled, omega, amplitude, LOUD)
+    return Pair(settled, own, lambda p, o: apart(p, o.harmonic[0, 0, 0, 1]), repeats=3)
+
+
 PAPER = 0.01, 1.3, 1291
+LOUD = 1e-4  # accuracy of motions that open contacts
 VECTORS = 10_000, 3, "vector"
 FACTORED = "(peer: pgran by factors)"
 ONE_BY_ONE = "(peer: pgran, one by one)"
@@ -419,6 +439,9 @@ ROWS |= {
         wall, 46**3, 3, 0.03, 0.3, 1.0, 200, 4,
     ),
     "density of modes of 1000 x 1000 (peer: kernel polynomials)": (density, 1000**2, 2, 2),
+    "60 spheres, 1 % of contacts open (peer: DOP853 until it stands)": (loud, 60, True),
+    "1000 spheres, 1 % of contacts open (peer: pgran, linear)": (loud, 1000),
+    "3000 spheres, 1 % of contacts open (peer: pgran, linear)": (loud, 3000),
 }  # fmt: skip
 for balls, axes, displacement, kind in (
     (200_000, 2, "scalar", "discs"),
@@ -445,6 +468,7 @@ SMALL = {  # what makes each row a trial of itself
     kernels: {"balls": 100},
     density: {"balls": 100, "bins": 10},
     pulses: {"side": 6, "time": 250.0},
+    loud: {"balls": 60},
     wall: {"balls": 100, "damping": 0.1, "low": 0.5, "count": 10},
     relaxation: {"side": 6, "taken": 8, "steps": 4},
     network_states: {"balls": 100},

@@ -15,7 +15,7 @@ for file in options/*.opts; do
   case $name in # what no quick file draws
     modes_density) less=(-lattice_shape 100,100) ;;
     ensemble_statistics) less=(-ensemble_samples 100) ;;
-    modes_damped) ;;
+    modes_damped | loud | loud_frequency) ;;
     *)
       [ ! -f "options/${name%%_*}.opts" ] || [ "$name" = "${name%%_*}" ] || continue # a variation
       grep -Eq "Run time: (about [12]?[0-9] s|below|less)" "$file" || continue

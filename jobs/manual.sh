@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Draws the figures of README.md and of the manual's pages by user, with the commands of these pages,
-# and writes the lists that end its pages on options, files and results. Two minutes on two cores.
+# and writes the lists that end its pages on options, files and results. Three minutes on two cores.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 [ $# -eq 0 ] || { echo "manual: $1: it takes no words" >&2; exit 2; }
@@ -21,6 +21,7 @@ pgran import options/packings/discs.atoms options/packings/discs.contacts --law 
   -o results/manual_jammed.h5 --overwrite
 run lammps packing_modes -network_file results/manual_jammed.h5
 run cluster accuracy_response
+run loud loud
 
 python - <<'END'
 import io
@@ -33,6 +34,7 @@ for page, kind, others in (
     ("beads", "amplitude", {}),
     ("lammps", "reduced", {}),
     ("cluster", "front", {}),
+    ("loud", "harmonics", {}),
 ):
     drawn = io.BytesIO()
     pgran.plot(f"results/manual_{page}.h5", **others)[kind].savefig(drawn, dpi=150)

@@ -31,10 +31,10 @@ is given over several samples, too, as mean +- standard deviation. `bash jobs/pa
 this; the commands of the files are at the end. A verdict is on the paper: right, wrong, unclear, or
 how a question of it is answered.
 """
-BEADS = "beads"  # stands for the results of all packings of beads, which are made apart
+APART = "beads", "loud"  # stand for the results of all packings, which jobs/paper.sh makes apart
 # Results whose figures are laid over each other.
 TOGETHER = {
-    BEADS: ["beads_*"],
+    **{name: [f"{name}_*"] for name in APART},
     "expfreq": ["response", "response_after_100"],
     "geometry_response": ["geometry_response_packing", "geometry_response_ordered"],
     "geometry_modes": ["geometry_modes_packing", "geometry_modes_ordered"],
@@ -54,8 +54,7 @@ def write(folder):
     made = {name: result.command for name, result in opened.items() if hasattr(result, "command")}
     lines += ["## Commands\n", *(f"- {name}.h5: `{made[name]}`" for name in sorted(made)), ""]
     folder.with_suffix(".md").write_text("\n".join(lines), encoding="utf-8")
-    missing.pop(BEADS, None)
-    return list(missing.values())
+    return [said for name, said in missing.items() if name not in APART]
 
 
 def files_of(folder, name):
@@ -74,8 +73,7 @@ def line(row, folder, opened, missing):
             except PgranError as error:
                 missing[name] = str(error)
     files = [f"{name}.{'txt' if name.startswith('units') else 'h5'}" for name in names]
-    if BEADS in names:
-        files = ["`bash jobs/paper.sh --beads`"]
+    files = [f"`bash jobs/paper.sh --{name}`" for name in names if name in APART] or files
     lacking = [file for name, file in zip(names, files, strict=True) if name in missing]
     if lacking:
         found = f"missing: {', '.join(lacking)}"
@@ -89,9 +87,9 @@ def line(row, folder, opened, missing):
 
 def read(folder, name):
     """Return a result, or what `pgran units` has said as texts in SI units by their names."""
-    if name == BEADS and not files_of(folder, name):
+    if name in APART and not files_of(folder, name):
         raise FileError("no results of packings of beads")
-    if name == BEADS:
+    if name in APART:
         return [pgran.load(path) for path in files_of(folder, name)]
     if not name.startswith("units"):
         return pgran.load(folder / f"{name}.h5")

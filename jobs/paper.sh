@@ -4,10 +4,11 @@
 # the paper is right. 80 seconds on two cores after the installation.
 #
 #   bash jobs/paper.sh --beads    the heater in packings of glass beads instead, under 1 to 300 of
-#                                 their weights: four minutes. The table takes up what it finds.
+#                                 their weights: four minutes. The table takes up what it finds,
+#   bash jobs/paper.sh --loud     and what it finds of loud sound in such packings: ten minutes.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
-[[ ${1:-} =~ ^(--beads)?$ ]] || { echo "paper: $1: it takes --beads only" >&2; exit 2; }
+[[ ${1:-} =~ ^(--beads|--loud)?$ ]] || { echo "paper: $1: it takes --beads or --loud" >&2; exit 2; }
 
 folder=results/paper
 mkdir -p "$folder"
@@ -18,11 +19,13 @@ run() { # NAME EXPERIMENT WORDS ...
     -output_file "$folder/$1.h5" -output_overwrite || [ $? -eq 3 ]
 }
 
-if [ "${1:-}" = --beads ]; then
-  python jobs/paper_beads.py "$folder" >"$folder/beads.txt"
+if [ $# -gt 0 ]; then
+  step=${1#--}
+  [ "$step" = loud ] && experiment=loud || experiment=heater_packing
+  python "jobs/paper_$step.py" "$folder" >"$folder/$step.txt"
   while read -r name words; do
-    run "$name" heater_packing $words </dev/null
-  done <"$folder/beads.txt"
+    run "$name" "$experiment" $words </dev/null
+  done <"$folder/$step.txt"
   python jobs/paper.py "$folder"
   exit
 fi

@@ -26,12 +26,8 @@ PLACES = 0.25, 0.5  # of detectors, from the wall at rest to the driven one
 APART = 0, 2.5, 5, np.inf  # diameters between heater and detector
 
 
-def make(folder, balls, case):
-    """Make the packing of a load and a seed; return the name and the words of a run a growth.
-
-    There are two detectors, the balls nearest to the axis of the packing at their places.
-    """
-    weights, seed = case
+def packed(folder, balls, weights, seed):
+    """Make the packing of a load and a seed; return its path, it, and its unit of time in s."""
     scale = hertz.Scale(GLASS, DIAMETER, weights * hertz.ball_mass(GLASS, DIAMETER) * GRAVITY, 3)
     force, time = scale.packed
     pressure = hertz.pressure_of_force(scale.force, DIAMETER) * DIAMETER**2 / force
@@ -39,12 +35,28 @@ def make(folder, balls, case):
     packing = pgran.pack(balls, 3, "hertz", pressure=pressure, **shape)
     path = folder / f"packing_{weights}_{seed}.h5"
     write_network(path, *parts_of(packing), overwrite=True)
+    return path, packing, time
+
+
+def heard_at(packing, places):
+    """Return the balls nearest to the axis of a packing, at places between its walls."""
     x, heard = packing.position[:, 0], []
-    for place in PLACES:
+    for place in places:
         middle = packing.box / 2
         middle[0] = x.min() + place * np.ptp(x)
         away = np.linalg.norm(packing.position[packing.free] - middle, axis=1)
         heard.append(packing.free[np.argmin(away)])
+    return heard
+
+
+def make(folder, balls, case):
+    """Make the packing of a load and a seed; return the name and the words of a run a growth.
+
+    There are two detectors, the balls nearest to the axis of the packing at their places.
+    """
+    weights, seed = case
+    path, packing, time = packed(folder, balls, *case)
+    heard = heard_at(packing, PLACES)
     beta = BETA * packing.mass * packing.omega_mx
     words = f"-network_file {path} -network_damping {beta:.6g} -heat_samples {HEATERS} "
     words += f"-detectors {','.join(map(str, heard))} -units_length {DIAMETER:g} "
@@ -53,13 +65,21 @@ def make(folder, balls, case):
     return [f"{name}{x * 1e-10 / DIAMETER:g}" for name, x in zip(names, GROWTHS, strict=True)]
 
 
+def nearest(known, value):
+    """Return the one of some known numbers that is nearest to a value by their ratio."""
+    return min(known, key=lambda each: abs(np.log(each / value)))
+
+
+def weights_of(result):
+    """Return the load of a result, the mean force of contacts in weights of a bead."""
+    acceleration = result.network.force.mean() / result.network.median_mass
+    return acceleration * result.units_length / result.units_time**2 / GRAVITY
+
+
 def case_of(result):
     """Return load and growth of a result, those of LOADS and GROWTHS that are nearest."""
-    force = result.network.force.mean() / result.network.median_mass  # an acceleration
-    found = force * result.units_length / result.units_time**2 / GRAVITY
-    found = found, result.heat.growth.mean() * result.units_length * 1e10
-    pairs = zip((LOADS, GROWTHS), found, strict=True)
-    return tuple(min(known, key=lambda x: abs(np.log(x / value))) for known, value in pairs)
+    growth = result.heat.growth.mean() * result.units_length * 1e10
+    return nearest(LOADS, weights_of(result)), nearest(GROWTHS, growth)
 
 
 def measures(results, weights, growth):

@@ -5,6 +5,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
+from scipy.integrate import solve_ivp
 from scipy.sparse._sparsetools import csr_matvec
 from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 
@@ -42,11 +43,15 @@ class Peer:
         return (self.B.T @ sp.diags(constants) @ self.B).tocsc()
 
     def amplitude(self, omega, K, constants):
-        """Return the amplitude at the detector, by a splu."""
+        """Return the amplitude at the detector."""
+        return self.read @ self.field(omega, K, constants)
+
+    def field(self, omega, K, constants):
+        """Return the amplitudes of all, by a splu."""
         damping = 1j * omega * self.medium.damping
         S = K + damping * self.C - (self.medium.mass * omega**2) * self.identity
         drive = self.B.T @ ((constants + damping * self.springs.damped) * self.springs.drive)
-        return self.read @ splu(S, **SPLU).solve(-drive)
+        return splu(S, **SPLU).solve(-drive)
 
     def sweep(self, omegas):
         """Return the amplitudes over frequencies."""
@@ -61,6 +66,37 @@ class Peer:
             constants[bond] = stiffness
             amplitudes.append(self.amplitude(omega, K, constants))
         return np.array(amplitudes)
+
+    def settled(self, omega, amplitude, good):
+        """Return the fundamental at the detector once it stands, of contacts that open.
+
+        By DOP853, from the linear motion on, until what geometric decay leaves is below `good`.
+        """
+        medium, drive, n = self.medium, amplitude * self.springs.drive, len(self.read)
+        h, p, bonds, turned = medium.overlap, medium.power, medium.bonds, self.B.T.tocsr()
+        C, time = medium.force / h**p, 2 * np.pi / omega
+        lag = medium.damping * self.springs.damped[:bonds] / medium.constants[:bonds]
+
+        def rate(t, y):
+            e = self.B @ y[:n] + drive * np.cos(omega * t)
+            speed = self.B @ y[n:] - omega * drive * np.sin(omega * t)
+            tension, x = medium.constants * e, np.maximum(h - e[:bonds], 0)
+            tension[:bonds] = C * (h**p - x**p + lag * p * x ** (p - 1) * speed[:bonds])
+            return np.concatenate([y[n:], -(turned @ tension) / medium.mass])
+
+        u = amplitude * self.field(omega, self.K, medium.constants)
+        y, at = np.concatenate([u.real, (1j * omega * u).real]), np.arange(33) / 32
+        found, left = [], np.inf
+        while not left < good:
+            chosen = {"method": "DOP853", "rtol": 1e-6, "atol": 1e-7 * amplitude}
+            path = solve_ivp(rate, (0, time), y, t_eval=time * at * (1 - 1e-15), **chosen).y
+            y = path[:, -1]
+            found.append(path[:n, :-1] @ np.exp(-2j * np.pi * at[:-1]) / 16)
+            if len(found) > 2:
+                steps = np.linalg.norm(np.diff(found[-3:], axis=0), axis=1)
+                before, changed = steps / np.linalg.norm(found[-1])
+                left = changed**2 / (before - changed) if changed < before else np.inf
+        return self.read @ found[-1]
 
     def all_modes(self):
         """Return omega^2 of all modes, found with their shapes."""

@@ -35,6 +35,7 @@ _HOMES = {
     "green": "pgran.experiments.green.scene",
     "heat": "pgran.experiments.sensitivity.scene",
     "load": "pgran.medium.network_file",
+    "loud": "pgran.experiments.loud.scene",
     "matrices": "pgran.medium.matrices",
     "ordered": "pgran.balance.ordered",
     "pack": "pgran.balance.pack",

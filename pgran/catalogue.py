@@ -45,6 +45,7 @@ OURS = {
         **dict.fromkeys(("ensemble", "statistics", "transport", "diffusion"), "figures"),
     ),
     "green": _ours("green"),
+    "loud": _ours("loud"),
     "modes": _ours(
         "modes", modes="figures", density="figures_density", damped_modes="figures_damped"
     ),

@@ -2,6 +2,7 @@
 
 import functools
 import pickle
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -79,6 +80,26 @@ def relax(steps=300):
 def listen(sites=((1, 1),), lattice=LATTICE, **sent):
     sent = {"width": 3.0, "omega": 0.6 * UNIT, "time": 200.0, "points": 801, "fields": True} | sent
     return result_of(pgran.pulse(lattice, np.ravel(sites), **sent), lattice)
+
+
+@computed_once
+def shout(amplitudes=(0.05, 0.2, 1.0, 3.0, 5.0), balls=24, power=1):
+    """States of a packing along a ladder, in amplitudes that open a contact."""
+    shape = {"walls": "x", "seed": 3, "pressure": 1e-4}
+    net = pgran.pack(balls, 2, "hertz", **shape)
+    omega = 0.3 * net.omega_mx
+    net = replace(net, damping=net.stiffness.mean() / (8 * omega), damping_power=power)
+    found = pgran.loud(net, [omega], net.free[:1], amplitudes, unit="opening", harmonics=3)
+    return result_of(found, net)
+
+
+@computed_once
+def lean(points=31):
+    """The resonance of a ball between two contacts, up and down in frequency."""
+    ball = pgran.Lattice.random((1,), law="constant", kmax=0.25, hertz=1.0, damping=0.003)
+    omegas = np.linspace(0.9, 1.02, points) * ball.omega_mx
+    wanted = {"unit": "overlap", "follow": "frequency", "harmonics": 3}
+    return result_of(pgran.loud(ball, omegas, [0], [0.003, 0.02], **wanted), ball)
 
 
 @computed_once

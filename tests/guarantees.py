@@ -24,6 +24,7 @@ from growth_faults import growth_faults, random_growth
 from law_samples import lawful_network
 from mode_faults import count_faults, mode_faults, nearest_faults
 from network_samples import random_network, small_network, unstable_network
+from opening_faults import opening_faults, random_overlaps
 from packing_faults import packing_faults, random_packing
 from pattern_faults import pattern_faults, random_patterns
 from samples import (
@@ -85,6 +86,9 @@ GUARANTEES = {
     "growing balls": Guarantee(
         random_growth, growth_faults, 2,
         (("warmed bounded", 0.5, "warmed"), ("by_radius bounded", 0.5, "by_radius")),
+    ),
+    "openings": Guarantee(
+        random_overlaps, opening_faults, 8, (("sharp", 0.5, "drives"),), shared=range(100, 104)
     ),
     "modes": Guarantee(random_network, mode_faults, 12, (("certified", 1, "networks"),)),
     "packings": Guarantee(random_packing, packing_faults, 2),

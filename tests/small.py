@@ -21,6 +21,7 @@ SMALL = {
     r"-lattice_shape 40,250*\b": "-lattice_shape 6,5",
     r"-lattice_shape 40,20": "-lattice_shape 12,5",
     r"-detectors 34,10.*": "-detectors 10,3,7,3,4,3,2,3",
+    r"-loud_amplitudes 1e-7.*": "-loud_amplitudes 1e-7,7e-7 -loud_stability false",
     r"-structure_count \d+": "-structure_count 2",
     r"-pulse_time 600": "-pulse_time 200",
     r"-pulse_points 2401": "-pulse_points 401",

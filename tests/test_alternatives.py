@@ -10,6 +10,7 @@ OFFERED = re.compile(r"(?:^#-.*\n)+", re.MULTILINE)
 SMALL = {
     "lattice_shape": "6,5", "detectors": "2,3", "modes_detectors": "2,3", "sweep_points": "20",
     "relax_steps": "40", "ensemble_samples": "40", "modes_density": "4",
+    "loud_amplitudes": "1e-7", "loud_stability": "false",
 }  # fmt: skip
 
 

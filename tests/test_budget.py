@@ -6,13 +6,13 @@ import pytest
 
 HOUSE = Path(__file__).parents[1]
 BUDGETS = {  # lines of Python, docstrings and blank ones too
-    "pgran": 33730,
+    "pgran": 35830,
     "pgran/*.py": 650,
     "pgran/run": 2220,
     "pgran/command": 2650,
     "pgran/store": 1310,
-    "pgran/medium": 4580,
-    "pgran/driven": 3890,
+    "pgran/medium": 4680,
+    "pgran/driven": 3980,
     "pgran/balance": 1190,
     "pgran/foreign": 1100,
     "pgran/draw": 1530,
@@ -21,13 +21,14 @@ BUDGETS = {  # lines of Python, docstrings and blank ones too
     "pgran/experiments/ensemble": 2250,
     "pgran/experiments/green": 300,
     "pgran/experiments/likeness": 440,
+    "pgran/experiments/loud": 1800,
     "pgran/experiments/modes": 3670,
     "pgran/experiments/pulse": 1460,
     "pgran/experiments/relaxation": 1080,
-    "pgran/experiments/response": 1780,
+    "pgran/experiments/response": 1890,
     "pgran/experiments/sensitivity": 2240,
     "pgran/experiments/structure": 500,
-    "tests": 25330,
+    "tests": 26170,
 }
 
 

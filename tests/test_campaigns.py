@@ -34,6 +34,7 @@ SHORT = {
     "guarantees": "sweeps 1 2",
     "jamming": "2 80 2 1",
     "moments": "0 12",
+    "loud": "0 2 40 44",
     "slopes": "1 1",
     "units": "7 8 1",
 }

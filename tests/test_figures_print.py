@@ -14,12 +14,14 @@ from figure_results import (
     diffusing,
     ensemble,
     find_modes,
+    lean,
     listen,
     project,
     relax,
     respond,
     respond_box,
     result_of,
+    shout,
 )
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
@@ -97,6 +99,8 @@ SCENES = {
               "green"),
     "network": (network, "shapes speeds participation density reduced network amplitude phase "
                          "delay wall"),
+    "loud": (shout, "harmonics parts claps network"),
+    "loud frequencies": (lean, "resonance"),
     "structure": (waves, "network structure dispersion"),
     "ensemble": (ensemble, "amplitude delay velocity intensity transport"),
     "diffusion": (diffusing, "diffusion"),
@@ -107,6 +111,7 @@ SCENES = {
 CROWDED = (
     *("response", "continuum", "modes", "damped", "density", "single modes", "relaxation"),
     *("pulse", "sensitivity", "green", "network", "structure", "ensemble", "equally accurate"),
+    *("loud", "loud frequencies"),
 )
 
 

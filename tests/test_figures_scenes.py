@@ -11,12 +11,14 @@ from figure_results import (
     compare,
     count_modes,
     find_modes,
+    lean,
     listen,
     project,
     relax,
     respond,
     respond_box,
     result_of,
+    shout,
 )
 from matplotlib.markers import TICKUP
 from samples import uniform_lattice
@@ -26,6 +28,7 @@ from pgran.draw.captions import formulas
 from pgran.errors import FileError
 from pgran.experiments.accuracy import figures as accuracy
 from pgran.experiments.continuum import figures as continuum
+from pgran.experiments.loud import figures as loud
 from pgran.experiments.modes import figures as modes
 from pgran.experiments.modes import figures_density as density
 from pgran.experiments.modes import figures_projection as projection
@@ -33,6 +36,7 @@ from pgran.experiments.pulse import figures as pulse
 from pgran.experiments.relaxation import figures as relaxation
 from pgran.experiments.relaxation.fluctuations import power_spectrum
 from pgran.experiments.response import figures as response
+from pgran.medium.space import reaches
 
 FINE = np.linspace(0.1, 1.1, 401)
 
@@ -306,3 +310,56 @@ def test_equally_accurate_configurations_are_bars_of_their_run_times():
     assert r"errors at most $2\times10^{-9}$" in ax.get_xlabel()
     (ax,) = figures.make(compare([1e-9, 2e-8]))["front"].axes
     assert ax.get_yscale() == "log"
+
+
+def test_unstable_loud_states_are_dashed_inaccurate_ones_hollow_missing_ones_crosses():
+    """Along amplitudes; beside harmonics are their slopes, and where the first contact opens."""
+    result = shout()
+    record = result.loud
+    record.multiplier[0, 3], record.converged_reason[0, [2, 4]] = -1.5, (0, -1)
+    ax, (x,) = draw(loud.harmonics, record, result.medium), record.drive
+    dashed, solid = curves(ax)[::2], curves(ax)[1::2]
+    for n, (one, other) in enumerate(zip(dashed, solid, strict=True)):
+        for line in (one, other):
+            assert line.get_xdata() == pytest.approx(x, rel=1e-12)
+            shown = np.ma.getdata(line.get_ydata(orig=True))
+            assert shown[:4] == pytest.approx(np.abs(record.harmonic[0, :4, 0, n]), rel=1e-12)
+        assert (one.get_linestyle(), other.get_linestyle()) == ("--", "-")
+        assert (gaps(one), gaps(other)) == ([4], [3, 4])
+    assert [*lines(ax, markerfacecolor="white")[0].get_xdata()] == [x[2]]
+    assert marks(ax, "x") == pytest.approx([x[4]])
+    for n in (1, 2):
+        (slope,) = lines(ax, label=f"slope {n}")
+        rise = np.diff(np.log(slope.get_ydata())) / np.diff(np.log(slope.get_xdata()))
+        assert rise == pytest.approx(n)
+    assert lines(ax, linestyle=":")[0].get_xdata()[0] == record.opening[0, 0]
+    told = loud.errors(record, "")
+    for words in ("estimated", "1 of 5 states are less accurate", "1 of 5 states are not reached"):
+        assert words in told
+    for panel, values in ((loud.change, record.change), (loud.clapping, record.clapping)):
+        line = curves(draw(panel, record, result.medium))[0]
+        assert np.ma.getdata(line.get_ydata(orig=True))[:4] == pytest.approx(values[0, :4])
+
+
+def test_a_loud_resonance_up_and_down_and_its_folds():
+    result = lean()
+    record, unit = result.loud, result.medium.omega_mx
+    ax = draw(loud.ratio, record, result.medium)
+    for n, line in enumerate(curves(ax)[::2]):
+        assert line.get_xdata() == pytest.approx(record.omega / unit)
+        expected = np.abs(record.harmonic[:, n, 0, 1]) / record.drive[:, n]
+        assert np.ma.getdata(line.get_ydata(orig=True)) == pytest.approx(expected)
+    folds = np.unique(record.fold[np.isfinite(record.fold)])
+    assert len(np.unique(folds.round(6))) == 2  # the same up and down
+    assert marks(ax, TICKUP) == pytest.approx(folds / unit)
+    assert labels(ax)[1:] == ["drive 0.003 overlaps", "drive 0.02 overlaps"]
+
+
+def test_contacts_that_clap_are_drawn():
+    """Those of the state with most of them; across the end of the box a line is in two parts."""
+    result = shout()
+    figure, clapped = page_of(result, "claps"), result.loud.clapped[0, -1] == 1
+    drawn = [each for each in figure.panels[0].collections if 2.0 in each.get_linewidth()]
+    count = np.count_nonzero(clapped) + np.count_nonzero(clapped & reaches(result.medium)[1])
+    assert sum(len(each.get_segments()) for each in drawn) == count > 0
+    assert f"Orange: {np.count_nonzero(clapped)} of {len(clapped)} contacts" in figure.caption

@@ -7,6 +7,7 @@ import amplitude_faults
 import growth_faults
 import mode_faults
 import numpy as np
+import opening_faults
 import packing_faults
 import pattern_faults
 import pytest
@@ -75,6 +76,9 @@ SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt; or
     ),
     "nearest modes": (
         mode_faults, "nearest_modes", lambda found: found and (*found[:2], found[2][:-1]),
+    ),
+    "openings": (
+        opening_faults.Openings, "at", lambda found: ([1.02 * end for end in found[0]], *found[1:])
     ),
     "modes": (mode_faults, "find_modes", lambda modes: replace(modes, omega=modes.omega[1:])),
     "counts": (density, "count_below", lambda found: (found[0] + 1, 0.0)),

@@ -155,6 +155,7 @@ HARMLESS = [
     "normal_eps_all true", "normal_eps_target_magnitude", "normal_st_pc_type cholesky",
     "normal_st_type sinvert", "normal_ds_method 2", "normal_st_mat_mumps_icntl_7 5",
     "normal_count_pc_factor_mat_solver_type mumps", "normal_eps_ciss_ksp_type preonly",
+    "loud_pc_type lu", "loud_eps_ncv 40",
     "damped_pep_tol 1e-10", "damped_pep_toar_restart 0.5", "damped_st_pc_type lu",
 ]  # fmt: skip
 
@@ -176,7 +177,7 @@ def test_files_of_solvers_hold_the_same_keys(written):
     ):
         with pytest.raises(InputError, match=f"line 1.*{said}"):
             read_solver(written(f"-{text}\n".replace("pc_", "steady_pc_")), own)
-    with pytest.raises(InputError, match=r"holds -relax_window, -steady_\*, .*-damped_\* only"):
+    with pytest.raises(InputError, match=r"holds -relax_window, -steady_\*, .*-loud_\* only"):
         read_solver(written("-log_view\n"), own)
 
 

@@ -18,6 +18,7 @@ sys.path.append(str(PROJECT / "jobs"))
 
 import paper  # noqa: E402
 import paper_beads  # noqa: E402
+import paper_loud  # noqa: E402
 import paper_measures  # noqa: E402
 import paper_table  # noqa: E402
 
@@ -25,13 +26,19 @@ FIGURES = (
     "exptime", "expfreq", "sprlat", "exactpl", "sprpic", "freqres", "phaseres", "modepic",
     "onefreq", "maxci", "cifreq", "timeres",
 )  # fmt: skip
-BEADS = "`bash jobs/paper.sh --beads`"  # what makes results that the table does without
+# what makes results that the table does without
+APART = "`bash jobs/paper.sh --beads`", "`bash jobs/paper.sh --loud`"
 # What is said instead of carried out.
 STAND_INS = """
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 mpirun() { echo "${@:3}"; }
 pgran() { echo "$@" >&3; [ "$1" != pack ] || echo "-detectors BALL"; }
-python() { [ "$1" != jobs/paper_beads.py ] || echo beads_1_1_180 -detectors 7 -heat_samples 5; }
+python() {
+  case $1 in
+    jobs/paper_beads.py) echo beads_1_1_180 -detectors 7 -heat_samples 5 ;;
+    jobs/paper_loud.py) echo loud_1_5_1 -detectors 7 ;;
+  esac
+}
 exec 3>units
 """
 
@@ -60,6 +67,8 @@ def test_heaters_in_packings_of_beads_are_a_step_of_their_own(commands, tmp_path
     expected = f"pgran run options/heater_packing.opts {words} -output_overwrite"
     assert run == expected.split()
     assert run[2] not in [words[2] for words in commands[0]]
+    (run,) = runs_of(tmp_path, "--loud")
+    assert run[2:6] == ["options/loud.opts", "-detectors", "7", "-output_file"]
 
 
 SMALL = {
@@ -119,9 +128,11 @@ def test_the_table_holds_what_the_files_hold(folder, here, monkeypatch):
 
     rows = cells(text)
     for _, found, files in rows.values():
-        there = [(folder / name).exists() for name in files.split(", ") if name and name != BEADS]
+        there = [
+            (folder / name).exists() for name in files.split(", ") if name and name not in APART
+        ]
         assert all(there)
-        assert found.startswith("missing") == (files == BEADS)
+        assert found.startswith("missing") == (files in APART)
 
     def says(name, expected, **tolerance):
         assert numbers(rows[name][1]) == pytest.approx(expected, **tolerance), name
@@ -160,7 +171,7 @@ def test_what_is_missing_is_said_in_a_line_each(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where no results of the user's are named instead
     assert paper.main(tmp_path / "paper") == 4
     rows = cells((tmp_path / "paper.md").read_text()).values()
-    files = {name for row in rows for name in row[2].split(", ")} - {"", BEADS}
+    files = {name for row in rows for name in row[2].split(", ")} - {"", *APART}
     said = capsys.readouterr().err.splitlines()
     assert len(said) == len(files)
     for name in files:
@@ -175,7 +186,7 @@ def test_every_file_of_the_table_is_made_by_the_script(commands):
     used = {name for row in rows for name in inspect.signature(row.found).parameters}
     for stem in paper.drawings():
         used |= {*paper.TOGETHER.get(stem, [stem])}
-    assert used - {"beads", "beads_*"} == made
+    assert used - {"beads", "beads_*", "loud"} == made
     assert len({row.what for row in rows}) == len(rows)
     for words in commands[0]:
         assert (PROJECT / words[2]).exists()
@@ -212,6 +223,52 @@ def test_the_heater_in_packings_of_beads(tmp_path, call, capsys, monkeypatch):
         assert c * (5e-3 * overlap) ** 1.5 == pytest.approx(weights * mass * 9.81, rel=0.25)
         found = rows[f"+{growth} A, W = {weights}"][1]
         assert numbers(found) == pytest.approx([*expected, 3, 1, 0], rel=0.06)
+
+
+def test_loud_sound_in_packings_of_beads(tmp_path, call, capsys, monkeypatch):
+    """Two packings under a load: the table has medians and ranges of what the files hold."""
+    monkeypatch.setattr(paper_loud, "ProcessPoolExecutor", ThreadPoolExecutor)
+    monkeypatch.setitem(paper_loud.NM, 30, (1.6, 15))
+    folder = tmp_path / "paper"
+    paper_loud.main(folder, loads=(30,), seeds=(1, 2), balls=60)
+    for line in capsys.readouterr().out.splitlines():
+        name, *words = line.split()
+        words += ["-loud_harmonics", "3", "-output_file", f"{folder}/{name}.h5"]
+        done = call("run", str(PROJECT / "options" / "loud.opts"), *words)
+        assert done.returncode in (0, 3), done.stderr
+    for quality in (5, 20):
+        first, middle, last, size, louder = [], [], [], [], []
+        for seed in (1, 2):
+            with h5py.File(folder / f"loud_30_{quality}_{seed}.h5") as file:
+                loud, nm = file["loud"], 1e9 * file.attrs["units_length"]
+                drive = nm * loud["drive"][0]
+                assert drive == pytest.approx([1.6, 15], rel=1e-5)
+                first.append(nm * loud["opening"][0, 0])
+                middle.append(100 * loud["change"][0, 0])
+                last.append(100 * loud["clapping"][0, -1])
+                size.append(abs(loud["multiplier"][0, -1]))
+                louder += [*drive[abs(loud["multiplier"][0]) > 1]]
+                network = file["network"]
+                Q = network["stiffness"][:].mean() / network.attrs["damping"]
+                assert Q / loud["omega"][0] == pytest.approx(quality, rel=1e-4)
+        paper.write(folder)
+        rows = cells(folder.with_suffix(".md").read_text()).items()
+        (found,) = (row[1] for name, row in rows if name.startswith(f"W = 30, Q = {quality}, "))
+        found = [numbers(text) for text in found.split(";")]
+        for values, shown in ((first, found[0]), (middle, found[3]), (last, found[4][-3:]),
+                              (size, found[5])):  # fmt: skip
+            expected = [np.median(values), min(values), max(values)]
+            assert shown == pytest.approx(expected, rel=0.06)
+        assert found[6][1:] == pytest.approx([2, min(louder)] if louder else [2], rel=0.06)
+
+
+def test_where_a_change_becomes_small():
+    """Of a square law, between amplitudes; not of what is small, or large, everywhere."""
+    drive = np.array([1.0, 2.0, 5.0, 10.0])
+    assert paper_loud.up_to(drive, 1e-3 * drive**2) == pytest.approx(10**0.5)
+    assert np.isnan(paper_loud.up_to(drive, 1e-5 * drive**2))
+    assert np.isnan(paper_loud.up_to(drive, drive**2))
+    assert paper_loud.told([1.0, np.nan, 3.0]) == "2 (1 to 3, 1 without)"
 
 
 def test_maxima_dips_and_widths():

@@ -18,13 +18,13 @@ SMALL = "-lattice_shape 6,5 -detectors 3,2"
 SWEEP = f"{SMALL} -sweep_points 5"
 # Of what a run is, the modules that it may load, and their lines.
 PATHS = {
-    "-scene continuum -sweep_points 5": (31, 4300),
-    f"-scene response {SWEEP}": (52, 9370),
-    f"-scene pulse {SMALL}": (53, 9420),
-    f"-scene relaxation {SMALL} -relax_steps 40": (53, 9320),
-    "-scene modes -lattice_shape 6,5": (51, 8910),
-    f"-scene ensemble -ensemble_samples 2 {SWEEP}": (56, 10260),
-    "plot": (46, 7050),
+    "-scene continuum -sweep_points 5": (31, 4310),
+    f"-scene response {SWEEP}": (53, 9480),
+    f"-scene pulse {SMALL}": (53, 9450),
+    f"-scene relaxation {SMALL} -relax_steps 40": (53, 9350),
+    "-scene modes -lattice_shape 6,5": (51, 8930),
+    f"-scene ensemble -ensemble_samples 2 {SWEEP}": (56, 10340),
+    "plot": (46, 7060),
 }
 
 

@@ -28,6 +28,9 @@ BASE = {
     "sensitivity": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 9",
     "green": "-lattice_shape 5,4 -green_sources 2,2 -sweep_points 9",
     "structure": "-lattice_shape 5,4 -sweep_points 9 -structure_count 2",
+    "loud": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 2 -sweep_min .5 "
+    "-lattice_damping .1 -bonds_hertz 1 -loud_amplitudes .01,.03 -loud_unit overlap "
+    "-loud_harmonics 2 -loud_stability false",
     "ensemble response": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 150 "
     "-lattice_damping .05 -sweep_method points -ensemble_samples 3 -ensemble_keep curves",
     "ensemble modes": "-lattice_shape 5,4 -ensemble_samples 3 -ensemble_keep curves",
@@ -112,6 +115,12 @@ CHANGES = {
     "heat_balls": ("2,2,3,3", "-heat_factor 1.01"),
     "heat_samples": ("3", "-heat_factor 1.01"),
     "heat_cut": "true",
+    "loud_amplitudes": ".01,.02",
+    "loud_unit": "opening",
+    "loud_harmonics": "3",
+    "loud_follow": "frequency",
+    "loud_stability": "true",
+    "loud_certificate": "true",
     "structure_count": "3",
     "structure_direction": "y",
     "structure_width": ".3",
@@ -125,7 +134,7 @@ CHANGES = {
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "network_rattlers"),
     *("detectors_at", "detectors_component", "ensemble_of", "statistics_windows"),
-    *("green_direction", "modes_certificate"),
+    *("green_direction", "modes_certificate", "loud_reach"),
     *("bonds_gravity", "drive_direction", "drive_force", "damping_loss", "damping_part"),
     *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }
@@ -203,7 +212,7 @@ def test_every_option_counts(scene, world):
         value, needed = change if isinstance(change, tuple) else (change, "")
         base = f"{BASE[scene]} {needed}"
         if option.name == "sweep_omega":
-            base = re.sub("-sweep_points \\d+", "", base)
+            base = re.sub("-sweep_(points|min) \\S+", "", base)
         if base not in plain:
             plain[base] = result(scene, base, world)
         changed = f"{base} -{option.name} {value}"

@@ -58,6 +58,7 @@ SWEPT = f"{HEARD} -sweep_points 150 -lattice_damping .05"
 PULSE = f"{HEARD} -pulse_width 5 -pulse_time 99 -pulse_points 60"
 CASES = {
     "response": (SWEPT, "m/s"),
+    "response opening": (f"{HEARD} -sweep_points 5 -sweep_method points -bonds_hertz .8", "m"),
     "modes": ("", "Hz"),
     "modes density": ("-modes_density 9", "Hz"),
     "pulse": (PULSE, "s"),
@@ -81,7 +82,7 @@ def test_summaries(name):
     added = re.findall(rf" \([^()]* [mkµ]?{unit}\)", said)
     assert added
     assert not re.findall(rf"[mkµ]?{unit}\)", plain)
-    for text in re.findall(r" \([^()]* (?:[mkµnM]?(?:Hz|s|m|m/s)|1/s)\)", said):
+    for text in re.findall(r" \([^()]* (?:[mkµnpM]?(?:Hz|s|m|m/s)|1/s)\)", said):
         said = said.replace(text, "")
     assert said == plain
     if name == "modes":

@@ -13,6 +13,7 @@ from pgran.errors import InputError, log
 from pgran.medium.base import EPSILON
 from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network
+from pgran.medium.overlaps import NO_LAW
 from pgran.medium.packing import ContactLaw, nearest_images
 from pgran.medium.springs import AT_REST, FREE
 from pgran.run.numbers import numbers
@@ -86,10 +87,7 @@ def law_of(network):
     Raises InputError where the network does not know them, or no force is there to balance.
     """
     if network.overlap is None:
-        raise InputError(
-            "the network does not know its contact law and forces: pgran pack makes some that do, "
-            "and pgran import with --law hertz or harmonic and forces as pre-stress"
-        )
+        raise InputError(NO_LAW)
     if network.radius is None or network.position is None or network.normal is None:
         raise InputError("balls under a contact law need positions, normals and radii")
     if network.tangential is not None:

@@ -121,7 +121,7 @@ def _table(scale, damping, growth):
         ("density", material.density, "kg/m^3"),
         ("diameter of a ball = spacing", scale.diameter, "m", "1"),
         ("mass of a ball", scale.mass, "kg", "1"),
-        ("c of F = c h^(3/2)", scale.constant, "N/m^1.5"),
+        ("c of F = c h^(3/2)", scale.constant, "N/m^1.5", f"{scale.own_constant:.4g}"),
         ("force of the strongest contacts", scale.force, "N",
          f"({weights:.3g} x the weight of a ball)"),
         ("mean force, stiffness on [0, kmax]", scale.force / hertz.STRONGEST, "N"),
@@ -158,7 +158,7 @@ def _commands(scale, options, damping):
 
     They pack these balls, under the mean force, and run the packing.
     """
-    lattice = f"-lattice_mass 1 -bonds_kmax {scale.kmax!r}"
+    lattice = f"-lattice_mass 1 -bonds_kmax {scale.kmax!r} -bonds_hertz {scale.own_constant!r}"
     force, time = scale.packed
     mean = scale.force / hertz.STRONGEST / force
     pressure = hertz.pressure_of_force(mean, 1.0, options.fraction, options.contacts)

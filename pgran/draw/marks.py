@@ -81,9 +81,9 @@ def known_amplitudes(response):
     return above & (response.converged_reason > 0)[:, None]
 
 
-def failed(ax, x):
+def failed(ax, x, label="missed the accuracy asked for"):
     """Mark where there is no good result, by crosses on the upper edge."""
-    _mark(ax, x, 1.0, marker="x", color=style.FAILED, label="missed the accuracy asked for")
+    _mark(ax, x, 1.0, marker="x", color=style.FAILED, label=label)
 
 
 def unresolved(ax, x):

@@ -32,6 +32,7 @@ DENSITY = Quantity("density of modes per ball", r"($1/\omega_{mx}$)", "1/Hz", -1
 TIME = Quantity("time", r"($1/\omega_{mx}$)", "s", -1)
 DELAY = Quantity("group delay", r"($1/\omega_{mx}$)", "s", -1)
 DISTANCE = Quantity("distance from the driven wall", "(spacings)", "m")
+OPENING = Quantity("drive", "(length)", "m")
 ATTENUATION = Quantity("attenuation length", "(spacings)", "m")
 IN_WORDS = ANY_FREQUENCY._replace(own=r"$\omega_{mx}$")
 TIME_IN_WORDS = TIME._replace(own=r"$\omega_{mx}^{-1}$")

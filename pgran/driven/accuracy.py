@@ -99,6 +99,7 @@ class Accuracy(Owner):
         self._alone = operators.comm.size == 1
         self._always = self.proven = self._alone or operators.lattice.dissipates
         self.unit, self._told = operators.rounding, False
+        self._residual = self.inverse_norm = math.nan  # until something is solved
         # What a 2-norm may miss because the squares of small numbers are lost.
         self.lost = 2 * math.sqrt(2 * operators.size * SMALLEST_NORMAL)
         self._product, self._work = operators.f.duplicate(), operators.f.duplicate()
@@ -126,7 +127,7 @@ class Accuracy(Owner):
     def prepare(self, s):
         """Bound the norms of S(s), which must be combined, and of its inverse. Collective."""
         operators, size = self.operators, abs(s)
-        self.proven = self._always or s.real > 0
+        self.proven, self._residual = self._always or s.real > 0, math.nan
         inertia = operators.mass * size * size
         spread = size * operators.damping  # |s beta C| is at most this
         spread *= operators.lattice.damping_norm if spread else 0.0
@@ -250,6 +251,11 @@ class Accuracy(Owner):
         product = times_a(self.operators.S)
         return terms - product.real - self._imaginary * product.imag
 
+    @property
+    def field_error(self):
+        """A bound of the error of the whole field last assessed, in the 2-norm; NaN: unknown."""
+        return 1.01 * self._residual * self.inverse_norm if self.proven else math.nan
+
     # What residuals tell.
 
     @logged("bounds")
@@ -274,7 +280,7 @@ class Accuracy(Owner):
                 rounding = self.evaluation(self._residual, terms, adjoint, displacement[d])
                 bound[d] = theory + rounding
             if self.whole_field:
-                field_bound = 1.01 * self._residual * self.inverse_norm
+                field_bound = self.field_error
         numbers = displacement, bound, backward_error, krylov.iterations
         state = SteadyState(s, *numbers, converged_reason=0, field_bound=field_bound)
         if self.proven:

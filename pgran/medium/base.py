@@ -24,7 +24,7 @@ SMALLEST_NORMAL = float(np.finfo(float).tiny)  # a result below it may be lost
 BETA = 0.003  # the paper's beta, of a lattice whose m and omega_mx are 1
 # The powers of the units of force and of time that each number is in; a length has none.
 DIMENSIONS = dict.fromkeys(
-    ("stiffness", "tangential", "force", "push", "kmax", "damping_reference"), (1, 0)
+    ("stiffness", "tangential", "force", "push", "kmax", "damping_reference", "hertz"), (1, 0)
 )
 DIMENSIONS |= dict.fromkeys(("mass", "masses", "median_mass"), (1, 2))
 DIMENSIONS |= {"damping": (1, 1), "drag": (0, -1)}
@@ -56,6 +56,11 @@ class Medium(Shown, Distinct):
         """Return the medium as a result by itself."""
         record = record_of(self)
         return Result([record], scene=record.group)
+
+    @property
+    def has_overlaps(self):
+        """Whether it knows how far contacts overlap: see `pgran.medium.overlaps`."""
+        return (self.hertz if self.is_grid else self.overlap) is not None
 
     @property
     def free_balls(self):

@@ -143,6 +143,11 @@ class Scale:
         force = 2 * self.constant * self.diameter**1.5
         return force, math.sqrt(self.mass * self.diameter / force)
 
+    @property
+    def own_constant(self):
+        """c of F = c h^(3/2) in the program's units, by which kmax belongs to the same overlap."""
+        return self.kmax / (1.5 * math.sqrt(self.overlap / self.diameter))
+
     def own_damping(self, damping):
         """Return a damping in the program's units, of mass times frequency."""
         return damping / (self.mass * self.omega_mx)

@@ -32,7 +32,7 @@ from pgran.medium.bonds import (
     cut_sides,
     dissected,
 )
-from pgran.medium.law import BondLaw, check_law, deeper, drawn, unit_numbers
+from pgran.medium.law import HERTZ, BondLaw, check_law, deeper, drawn, unit_numbers
 from pgran.medium.springs import Elastic, Springs
 from pgran.run.machine import check_memory
 from pgran.run.numbers import number, numbers
@@ -69,6 +69,8 @@ class Lattice(Elastic):
         k_ref; by default the mean of all bonds.
     drag, loss : float
         alpha of each ball, eta of each bond: see `pgran.medium.dissipation`.
+    hertz : float, optional
+        c of Hertz's law F = c h^(3/2), which says how far contacts overlap.
     kmax : float, optional
         The stiffness in omega_mx; by default the largest one.
     wall : array_like of float, shape (ny, ...), optional
@@ -113,6 +115,7 @@ class Lattice(Elastic):
     damping_reference: float | None = None
     drag: float = 0.0
     loss: float = 0.0
+    hertz: float | None = None
 
     is_grid = True
     components = 1  # unknowns of a ball
@@ -133,6 +136,7 @@ class Lattice(Elastic):
         for name in ("mass", "damping", "drag", "loss"):
             own[name] = number(f"lattice_{name}", getattr(self, name))
         own["kmax"] = number("-bonds_kmax", self.stiffest if self.kmax is None else self.kmax)
+        own["hertz"] = None if self.hertz is None else HERTZ.check(self.hertz)
 
         own["wall"] = _checked_drive("wall", self.wall, self.shape[1:])
         own["push"] = own["pushed"] = _checked_drive("push", self.push, self.shape)
@@ -163,7 +167,8 @@ class Lattice(Elastic):
     def random(
         cls, shape: "ArrayLike", seed: int = 1993, law: str | Callable = "uniform", *,
         mass: float = 1.0, damping: float = BETA, free: tuple = (), gravity: float = 0.0,
-        damping_power: float = 0.0, drag: float = 0.0, loss: float = 0.0, **parameters: float,
+        damping_power: float = 0.0, drag: float = 0.0, loss: float = 0.0,
+        hertz: float | None = None, **parameters: float,
     ) -> "Lattice":  # fmt: skip
         """Return the lattice that the options of a run describe, the same on every rank.
 
@@ -182,8 +187,10 @@ class Lattice(Elastic):
         gravity : float
             Of the law hertz: by how much the mean force of contacts grows with each ball above,
             along the last axis.
+        hertz : float, optional
+            c of F = c h^(3/2), of the law hertz or of contacts by any other.
         **parameters : float
-            Of a law given by its name: kmin, kmax, fraction, force, hertz.
+            Of a law given by its name: kmin, kmax, fraction, force.
 
         Raises
         ------
@@ -197,7 +204,8 @@ class Lattice(Elastic):
         Lattice(6 x 5, mass=1, beta 0.003, omega_mx=1)
         """
         if not callable(law):
-            law = BondLaw(law, **parameters)
+            own = {"hertz": hertz} if law == "hertz" else {}
+            law = BondLaw(law, **parameters | own)
         elif parameters:
             raise InputError(f"-bonds_law: this law has its parameters, and takes no {parameters}")
         shape = numbers("-lattice_shape", shape, whole=True)
@@ -212,8 +220,10 @@ class Lattice(Elastic):
         if gravity:
             above = balls_above(shape)
             bonds = tuple(k * deeper(law, gravity, n) for k, n in zip(bonds, above, strict=True))
-        dissipation = {"damping_power": damping_power, "drag": drag, "loss": loss}
-        return cls(bonds, mass, damping, getattr(law, "kmax", None), free=free, **dissipation)
+        if isinstance(law, BondLaw):
+            hertz = law.parameters.get("hertz", hertz)
+        facts = {"damping_power": damping_power, "drag": drag, "loss": loss, "hertz": hertz}
+        return cls(bonds, mass, damping, getattr(law, "kmax", None), free=free, **facts)
 
     @cached_property
     def bonds_sha256(self):

@@ -26,8 +26,10 @@ from pgran.run.options import INTEGER, REAL, Option
 
 # The parameters of laws, by their keywords.
 HERTZ = Option(
-    "bonds_hertz", REAL, 1.0, "hertz: c in F = c h^(3/2)", "force / length^(3/2)", above=0
-)
+    "bonds_hertz", REAL, 1.0,
+    "hertz: c in F = c h^(3/2); given with any law it says how far contacts overlap, h = "
+    "(k / 1.5 c)^2, and at which drive they open", "force / length^(3/2)", above=0
+)  # fmt: skip
 PARAMETERS = {
     "kmin": Option("bonds_kmin", REAL, 0.0, "smallest bond constant", "mass x frequency^2", low=0),
     "kmax": Option(

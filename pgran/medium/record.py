@@ -40,6 +40,9 @@ class LatticeRecord(Record):
     drag: float | None = attribute("alpha of a drag -alpha m v", "sqrt(k/m)", optional=True)
     loss: float | None = attribute("eta of springs k (1 + i eta)", "1", optional=True)
     kmax: float | None = attribute("stiffness that omega_mx is by", "k", optional=True)
+    hertz: float | None = attribute(
+        "c of F = c h^(3/2), by which contacts overlap", "k / sqrt(length)", optional=True
+    )
 
     length = "spacings"  # what distances are in
     has_places = True  # its balls, to be drawn at
@@ -76,7 +79,7 @@ class LatticeRecord(Record):
         laws = {name: getattr(self, name) or 0.0 for name in ("damping_power", "drag", "loss")}
         return Lattice(
             self.stiffness, self.mass, self.damping, kmax, wall, self.push, self.free or (),
-            damping_reference=self.damping_reference, **laws,
+            damping_reference=self.damping_reference, hertz=self.hertz, **laws,
         )  # fmt: skip
 
     @classmethod
@@ -87,6 +90,6 @@ class LatticeRecord(Record):
         values |= {f"stiffness_{x}": k for x, k in zip(AXES, lattice.stiffness, strict=False)}
         values["wall"] = None if lattice.wall is None else lattice.wall.ravel()
         values["free"] = ",".join(lattice.free) or None
-        for name in ("damping_power", "damping_reference", "drag", "loss"):
+        for name in ("damping_power", "damping_reference", "drag", "loss", "hertz"):
             values[name] = getattr(lattice, name) or None  # only what there is
         return cls(**values)

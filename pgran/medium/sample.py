@@ -122,6 +122,8 @@ def _check_grid(values, given, draws):
     if values["bonds_gravity"] and (draws or values["bonds_law"] != "hertz"):
         why = "a bond that is redrawn would lose its load" if draws else "it needs -bonds_law hertz"
         raise InputError(f"-bonds_gravity: {why}")
+    if values["bonds_law"] != "hertz" and "bonds_hertz" not in given:
+        values["bonds_hertz"] = None  # the default is that of the law
     from_file = values["bonds_law"] == "file"
     if from_file and values["bonds_redrawn"]:
         raise InputError("-bonds_redrawn: -bonds_law file is no law to draw new constants from")
@@ -187,7 +189,7 @@ def _lattice(options, world):
 
     facts = {name: value or 0.0 for name, value in _laws(options).items()}
     facts |= {"mass": options.lattice_mass, "damping": options.lattice_damping}
-    facts |= {"free": options.lattice_free or ()}
+    facts |= {"free": options.lattice_free or (), "hertz": options.bonds_hertz}
     if options.bonds_law == "file":
         from pgran.medium.bonds_file import read_bonds
 

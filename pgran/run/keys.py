@@ -102,6 +102,10 @@ SOLVERS = {
     "damped_": (
         "damped modes near a target (PEP, ST)", {"damped_": MODES, f"damped_st_{INNER}": LINEAR}
     ),
+    "loud_": (
+        "loud sound (KSP, PC of each harmonic; EPS of multipliers)",
+        {"loud_": MODES, f"loud_{INNER}": LINEAR},
+    ),
 }  # fmt: skip
 # PETSc's own keys at run time: those that only print, and all others, which no file may set.
 PRINTING = _one_of(
@@ -189,7 +193,7 @@ def solver_keys_of(solver):
     for key, value in solver.items():
         key = str(key).lower()
         if not (key.isidentifier() and is_solver_key(key)):
-            near = nearest(key, [prefix + key for prefix in SOLVERS])
+            near = nearest(key, [prefix + key for prefix in SOLVERS if prefix != "loud_"])
             raise InputError(f"solver: {key!r} belongs to no solver{meant(near and repr(near))}")
         keys[key] = "" if value is None or value is True else text_of(value)
         if not keys[key].isprintable():

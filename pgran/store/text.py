@@ -13,7 +13,7 @@ LONGEST_LINE = 2**16  # bytes
 LONGEST_FILE = 2**26  # bytes
 SEPARATORS = str.maketrans(",;", "  ")
 MEASURED = ("omega", "amplitude", "phase")  # omega: what a header may call frequency, too
-COLUMN_AXES = "detector_number", "axis"  # along these a table has columns, not rows
+COLUMN_AXES = "detector_number", "axis", "bound"  # along these a table has columns, not rows
 MEDIA = "lattice", "network"  # groups that are of no scene
 SPACE_AXES = "balls", "bonds_"  # what arrays along these hold is a picture, no table
 
@@ -186,7 +186,7 @@ def _tables_of(record):
     for name, axes in declared.items():
         values, axes = getattr(record, name), axes or (name,)
         in_space = any(axis.startswith(SPACE_AXES) for axis in axes)
-        if values is None or name in used or in_space or axes == COLUMN_AXES:
+        if values is None or name in used or in_space or axes == COLUMN_AXES[:2]:
             continue
         # displacement (omega, detector_number): a row each omega, a column each detector
         rows = tuple(axis for axis in axes if axis not in COLUMN_AXES)

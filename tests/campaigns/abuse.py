@@ -160,6 +160,12 @@ def cases():
         "heat": swept | heard | {
             "factor": ("real", 1.5), "balls": ("balls", balls), "cut": ("flag", True),
         },
+        "loud": on | heard | {
+            "lattice": ("medium", dataclasses.replace(lattice, hertz=1.0)),
+            "amplitudes": ("omegas", [0.1, 0.2]), "omegas": ("omegas", omegas),
+            "unit": ("choice", "overlap"), "reach": ("real", 2.0),
+            "harmonics": ("whole", 3), "stability": ("flag", True), "certificate": ("flag", True),
+        },
         "continuum": always | {
             "omegas": ("omegas", omegas), "point": ("point", (0.3, 0.6)), "mass": ("real", 2.0),
             "size": ("window", (0.8, 0.9)), "stiffness": ("real", 0.5),

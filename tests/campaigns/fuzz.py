@@ -140,6 +140,8 @@ TINY = {  # what keeps a real run short, whatever the file says
     "pulse": "-lattice_shape 4,3 -detectors 2,1 -pulse_time 20 -pulse_points 21",
     "sensitivity": "-lattice_shape 4,3 -detectors 2,1 -sweep_points 3",
     "structure": "-lattice_shape 4,3 -structure_count 2 -sweep_points 7",
+    "loud": "-lattice_shape 4,3 -detectors 2,1 -sweep_points 2 "
+    "-loud_harmonics 2 -loud_stability false -loud_amplitudes .1 -bonds_hertz 1",
     "green": "-lattice_shape 4,3 -green_sources 2,1 -sweep_points 3",
 }
 RUN = 0.2  # what part of those accepted is run as a program

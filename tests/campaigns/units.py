@@ -245,6 +245,10 @@ ROWS = {
         lambda c: pgran.heat(c.plain, c.omegas[::4], c.heard, samples=3,
                              radius=1e-2 * c.plain.overlap.mean()),
     ),
+    "loud": (
+        lambda c: pgran.loud(c.medium, c.omegas[:2], c.heard, [0.3, 1.0], unit="opening"),
+        lambda c: pgran.loud(c.plain, c.omegas[:1], c.heard, [0.1], unit="overlap", harmonics=3),
+    ),
     "matrices": (lambda c: c.fields and pgran.matrices(c.medium).K.toarray() / c.units["k"],),
     "ordered": (lambda c: pgran.ordered(c.plain),),
     "pack": (lambda c: in_units(

@@ -37,7 +37,7 @@ def frequencies(options, lattice):
     return np.linspace(low, high, options.modes_density)
 
 
-@in_parallel(shares_lattice=True, solver=False, lattice=medium, omegas=partial(numbers, "omegas"))
+@in_parallel(shares_lattice=True, lattice=medium, omegas=partial(numbers, "omegas"))
 def count_modes(
     lattice: Medium,
     omegas: "ArrayLike",

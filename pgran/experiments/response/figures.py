@@ -37,8 +37,12 @@ def figures(result, modes=None, **_):
         height = 2.1 if count == 1 else 1.5 if count < 5 else 1.0
         caption = style.caption_of(delay)
         yield "delay", style.stack(delays, caption, height=height, shared=True, **shown)
+    panels = []
     if response.force is not None and np.any(known_force(response)):
-        panels = (force, force_phase, power)[: 3 if np.any(known_power(response)) else 2]
+        panels = [force, force_phase, power][: 3 if np.any(known_power(response)) else 2]
+    if response.opening is not None and np.any(response.opening > 0):
+        panels.append(opening)
+    if panels:
         yield "wall", style.stack(panels, height=1.4, shared=True, **shown)
     if lattice.group == "lattice":
         yield "bonds", bonds.page(lattice, response.detector)
@@ -184,6 +188,24 @@ def power(ax, response, lattice, modes=None):
     """Mean power that the wall puts in, which dashpots dissipate."""
     ax.set(yscale="log", ylabel=r"power $\frac{1}{2}\omega\,\mathrm{Im}\,F$")
     return _curves(ax, response, lattice, modes, response.power, known_power(response))
+
+
+def opening(ax, response, lattice, modes=None):
+    """Amplitude of the drive, F / kmax of a force, up to which, by the linear field and for
+    certain, no contact opens, and less than 1 % do.
+    """
+    from pgran.medium.overlaps import are_lengths, overlaps_of
+
+    scales.label(ax.yaxis, scales.OPENING)
+    if not are_lengths(lattice.built, overlaps_of(lattice.built)):
+        ax.yaxis.quantity = None
+    ax.set_yscale("log")
+    drawn = []
+    of = {"first contact opens": response.opening, "1 % of contacts open": response.opening_part}
+    for (name, ends), shade in zip(of.items(), style.COLOURS[1:], strict=False):
+        look, least = {"labels": [name], "color": shade}, lattice.built.drive_size * ends[:, 0]
+        drawn += _curves(ax, response, lattice, modes, least, least > 0, **look)
+    return drawn
 
 
 def known_force(response):

@@ -176,6 +176,20 @@ class Response(Frequencies):
     iterations: np.ndarray = array(
         "Krylov iterations, adjoints included", "1", "omega", dtype=int, row=True
     )
+    opening: np.ndarray | None = array(
+        "amplitude of the drive at which it opens its first contact, by the linear field: no less "
+        "and no more; times displacement it is that of balls; NaN: no bound is known, or a model "
+        "gives this frequency",
+        "length", "omega", "bound", optional=True, row=True,
+    )  # fmt: skip
+    opening_part: np.ndarray | None = array(
+        "like opening: at which 1 % of the contacts open", "length", "omega", "bound",
+        optional=True, row=True,
+    )  # fmt: skip
+    opening_contact: np.ndarray | None = array(
+        "number of the contact that opens first, as the field says; -1: opening is NaN",
+        "1", "omega", dtype=int, optional=True, row=True,
+    )  # fmt: skip
     field: np.ndarray | None = array(
         "amplitudes of all balls relative to the driven wall",
         "1", "omega", "balls", dtype=complex, optional=True, row=True,

@@ -1,5 +1,6 @@
 """Scene `response`: amplitude and phase of single balls over a sweep of driving frequencies."""
 
+import contextlib
 import time
 from dataclasses import astuple
 
@@ -8,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from pgran.driven import amplitudes, drive
 from pgran.driven.amplitudes import PhaseLine, and_more, is_accurate
+from pgran.errors import InputError
 from pgran.experiments.response.curve import choose_method, line_errors, solve_curve
 from pgran.experiments.response.record import LINES, Response
 from pgran.medium.base import EPSILON, Medium, medium
@@ -32,6 +34,8 @@ from pgran.store.si import SI
 
 MODELLED = 2  # the reason of a frequency that a model gives
 WORTH = 5.0  # seconds of a sweep from which it is said what would be quicker
+# What there is where overlaps are known, and what it is where nothing was solved or proven.
+OPENING = {"opening": np.nan, "opening_part": np.nan, "opening_contact": -1}
 
 
 @in_parallel("sweep", shares_lattice=True, lattice=medium, detectors=drive.DETECTORS, omegas=SWEEP)
@@ -115,8 +119,16 @@ class ResponseSweep(drive.FrequencySweep):
     def __init__(self, lattice, omegas, detectors, fields, steady):
         self.fields, self.detectors, self.steady = fields, detectors, steady
         sites = lattice.sites(detectors)
-        axes = {"detector_number": (len(sites),), "balls": lattice.shape}
-        row = row_of(Response, () if fields else ("field",), **axes)
+        axes = {"detector_number": (len(sites),), "balls": lattice.shape, "bound": (2,)}
+        self.overlaps = None
+        if lattice.has_overlaps:
+            from pgran.medium.overlaps import overlaps_of
+
+            with contextlib.suppress(InputError):  # the summary says why
+                self.overlaps = overlaps_of(lattice)
+        without = () if fields else ("field",)
+        without += () if self.overlaps else tuple(OPENING)
+        row = row_of(Response, without, **axes)
         row += [("reaction", complex), ("reaction_bound", float)]
         choices = steady | {"whole_field": fields, "derivatives": True}
         super().__init__(lattice, omegas, sites, row, choices)
@@ -133,8 +145,21 @@ class ResponseSweep(drive.FrequencySweep):
 
         return DriveMoments(self, group)
 
+    def prepare(self, operators):
+        """See `FrequencySweep`."""
+        if self.overlaps is not None:
+            from pgran.driven.opening import Openings
+
+            self.openings = Openings(operators, self.overlaps)
+
     def keep(self, point, solver):
         """See `FrequencySweep`; the field comes to the first rank of a group."""
+        if self.overlaps is not None:
+            found, error = OPENING.values(), solver.bounds.field_error
+            if point["converged_reason"] > 0 and not np.isnan(error):
+                found = self.openings.at(solver.field, error)
+            for name, value in zip(OPENING, found, strict=True):
+                point[name] = value
         if self.fields:
             field = solver.operators.layout.field(solver.field)
             point["field"] = 0.0 if field is None else self.scaled.displacements(field)
@@ -142,6 +167,8 @@ class ResponseSweep(drive.FrequencySweep):
     def collect(self, rows, seconds):
         """See `Task`."""
         rows["omega"] = self.omegas
+        for name in OPENING.keys() & set(rows.dtype.names):  # of series there is no field
+            rows[name][np.isnan(rows["backward_error"])] = OPENING[name]
         return rows
 
     def accurate(self, points):
@@ -151,6 +178,8 @@ class ResponseSweep(drive.FrequencySweep):
         rows = np.zeros(np.count_nonzero(good), self.row)
         for name in set(rows.dtype.names) & set(points.dtype.names):
             rows[name] = points[name][good]
+        for name in OPENING.keys() & set(rows.dtype.names):
+            rows[name] = OPENING[name]
         rows["converged_reason"] = MODELLED
         return rows
 
@@ -286,6 +315,10 @@ def summary(result):
             f"per omega_mx, phase velocity {with_error(velocity, error)} "
             f"{lattice.length} x omega_mx{si.say('m/s', velocity * lattice.omega_mx)}"
         )
+    if lattice.built.has_overlaps:
+        from pgran.experiments.response.opened import in_words
+
+        yield from in_words(response, lattice, si)
 
 
 def unresolved(response, damped):

@@ -1,0 +1,1 @@
+"""Loud sound: contacts by their own law, which open and close, in periodic states."""
